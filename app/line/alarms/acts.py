@@ -1,4 +1,5 @@
-"""What people do with alarms. The route, the form, the check and the event of an act follow from its row."""
+"""The acts of people on alarms. The route, the form, the check and the event of an act follow from its
+row."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from app.people.audit.acts import Act
 from bus.validation import OneLine
 
 MAX_MINUTES = 720
-"""A shift. An alarm that has to be hidden for longer is taken out of service."""
+"""A shift in minutes. An alarm that has to be hidden for longer is taken out of service."""
 MINUTE_S = 60
 ActReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
 Comment = Annotated[OneLine, Field(max_length=200)]
@@ -77,7 +78,7 @@ class AlarmShelveRequest(AlarmOutOfServiceRequest):
 
 @dataclass(frozen=True, slots=True)
 class AlarmAct(Act):
-    """What a person does with one alarm. ``path``: the end of its routes, after the id of the occurrence;
+    """An act of a person on one alarm. ``path``: the end of its routes, after the id of the occurrence;
     ``means``: its description in the API; ``change``: the function that changes the facts, called with the
     options of the ``body``. An act that ``hides`` the alarm needs a reason."""
 
@@ -162,7 +163,7 @@ ALARM_ACTS = (ACKNOWLEDGE, SILENCE, RESET, SHELVE, UNSHELVE, REMOVE, RETURN)
 """The acts on one alarm; each has its routes."""
 
 SILENCE_SOUNDING = Act("silence_sounding_alarms", Role.OPERATOR, "alarm", "event_alarms_silenced")
-"""Silences every alarm that sounds. Where only one sounds, :data:`SILENCE` is recorded instead."""
+"""The act of silencing every alarm that sounds. If only one does, :data:`SILENCE` is recorded instead."""
 ADD_OWN = Act("add_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_added")
 CHANGE_OWN = Act("change_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_changed")
 REMOVE_OWN = Act("remove_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_removed")

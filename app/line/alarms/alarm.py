@@ -30,7 +30,7 @@ UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17),
 AlarmConsequence = TypeAliasType("AlarmConsequence", Consequence)
 AlarmTimeToRespond = TypeAliasType("AlarmTimeToRespond", TimeToRespond)
 SITE = "_"
-"""Stands in the key of an alarm of the site in place of a bus, whose name has no underscore."""
+"""The place in the key of an alarm of the site, instead of a bus, whose name has no underscore."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class AlarmRationalization:
 
 @dataclass(frozen=True, slots=True)
 class AlarmDefinition:
-    """One alarm of a unit, a bus or the site. ``key`` identifies it for good, also after a restart."""
+    """One alarm of a unit, a bus or the site. ``key`` identifies it for good, even after a restart."""
 
     key: str
     code: str
@@ -86,13 +86,13 @@ class Alarm:
     definition: AlarmDefinition
     facts: AlarmFacts = NORMAL
     holds: bool | None = None
-    """The condition as last observed; None: not known."""
+    """Whether the condition held when last observed; None: not known."""
     first_out: bool = False
     """Whether the alarm was the first of several that rose together."""
     hidden_by: str = ""
     """The person who shelved the alarm or took it out of service."""
     reason: str = ""
-    """The reason that this person gave."""
+    """The reason for which the alarm is hidden."""
 
     @property
     def id(self) -> str:
@@ -116,7 +116,7 @@ class Alarm:
 
     @property
     def hiding(self) -> tuple[str, str]:
-        """The person who hides the alarm, and the reason; both empty where no one does."""
+        """The person who hides the alarm, and the reason; both empty if no one does."""
         return (self.hidden_by, self.reason) if self.facts.is_hidden_by_person else ("", "")
 
     @property

@@ -1,5 +1,5 @@
-"""A list of alarms, of one bus or of the site: applies the rules, writes every change in order and tells
-those who subscribe; and the changes of one act of a person."""
+"""The list of alarms of one bus or of the site, which applies the rules, writes every change in order and
+tells subscribers; and the changes of one act of a person."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from bus.instants import Clock, UnixTime
 RETRY_AFTER_S = 1.0
 TICK_S = 1.0
 OBSERVED_EVERY_S = 60.0
-"""How often the store learns that the alarms are still observed."""
+"""How often, in seconds, the store learns that the alarms are still observed."""
 MAX_WITHDRAWN = 500
-"""Alarms whose definition has ended that are kept for those who follow the journal."""
+"""The most alarms without a definition that are kept for those who follow the journal."""
 AlarmSubscriber = Callable[[Alarm], None]
-"""Called with an alarm after it has changed."""
+"""A function that is called with an alarm after it has changed."""
 log = structlog.get_logger()
 
 
 class AlarmList:
     """The alarms of one bus or of the site. A change holds at once; the journal has it a moment later, in
-    order, and waits where the store cannot be written."""
+    order, and waits if the store cannot be written."""
 
     def __init__(
         self, definitions: Iterable[AlarmDefinition], store: AlarmStore, bus: str | None = None
@@ -61,7 +61,7 @@ class AlarmList:
         self.annunciated: Counter[AlarmPriority] = Counter()
         """How often alarms were annunciated since the server started."""
         self.observed: ObservedSpan | None = None
-        """The time up to now in which the conditions were observed without a gap; None: not yet."""
+        """The span up to now in which the conditions were observed without a gap; None before it begins."""
         self._recorded: ObservedSpan | None = None
 
     def subscribe(self, subscriber: AlarmSubscriber) -> None:
@@ -110,7 +110,7 @@ class AlarmList:
     def restore(
         self, alarm: Alarm, facts: AlarmFacts, hidden_by: str, reason: str, *, unless_changed_from: AlarmFacts
     ) -> None:
-        """Undo what a person did and the audit log could not record, unless the alarm has changed since."""
+        """Undo a person's act that the audit log could not record, unless the alarm has changed since."""
         if alarm.facts is not unless_changed_from:
             return
         alarm.facts, alarm.hidden_by, alarm.reason = facts, hidden_by, reason
@@ -124,7 +124,7 @@ class AlarmList:
             self.apply(alarm, rules.advance(alarm.facts, alarm.definition.attributes, now))
 
     def clock_stepped(self, step_s: float) -> None:
-        """Shift every running time with the clock, because that was set, so that it keeps its length."""
+        """Shift every running time with a clock that was set, so that it keeps its distance from now."""
         for key, alarm in self.alarms.items():
             facts = shifted(alarm.facts, step_s)
             if facts != alarm.facts:
@@ -171,7 +171,7 @@ class AlarmList:
     # --- the journal ----------------------------------------------------------------------------------
 
     def pop_unwritten(self) -> tuple[list[JournalEntry], list[Alarm]]:
-        """Return everything that is not on disk yet; the caller writes it, or gives it back."""
+        """Return everything that is not on disk yet; the caller writes it, or calls `requeue`."""
         entries, alarms = self._entries, list(self._changed.values())
         self._entries, self._changed = [], {}
         return entries, alarms
@@ -188,7 +188,7 @@ class AlarmList:
             if not entries and not alarms:
                 return
             try:
-                # The end of the server cancels this wait, and must not cancel the write.
+                # The end of the server cancels this wait, but must not cancel the write.
                 await asyncio.shield(self._store.write(entries, alarms))
             except StoreError:
                 self.requeue(entries, alarms)
@@ -208,8 +208,8 @@ class AlarmList:
         return is_new_span or self.observed.end - self._recorded.end >= OBSERVED_EVERY_S
 
     async def follow(self, tick: Callable[[], None], clock: Clock) -> None:
-        """Call ``tick`` every second, apply what is due at its time, and write what has changed, without
-        end."""
+        """Call ``tick`` every second, apply what is due at its time, and write what has changed, until
+        canceled."""
         fault, ticked_at = "", UnixTime(0.0)
         while True:
             now = clock()
@@ -253,7 +253,7 @@ class ActTransaction:
     def change(
         self, of: AlarmList, alarm: Alarm, changed: Changed, reason: str = "", *, hides: bool = False
     ) -> None:
-        """Change an alarm of a list. An act that ``hides`` the alarm leaves there who hid it and why."""
+        """Change an alarm of a list. An act that ``hides`` the alarm stores there who hid it and why."""
         before = (alarm.facts, alarm.hidden_by, alarm.reason)
         if hides:
             alarm.hidden_by, alarm.reason = self._who, reason

@@ -45,7 +45,7 @@ AlarmGroupShown = TypeAliasType("AlarmGroupShown", AlarmGroup)
 AlarmStateShown = TypeAliasType("AlarmStateShown", AlarmState)
 AlarmPriorityShown = TypeAliasType("AlarmPriorityShown", AlarmPriority)
 AlarmTriggerShown = TypeAliasType("AlarmTriggerShown", AlarmTrigger)
-"""Named, so that clients have one enumeration of each."""
+"""The types of the API's enumerations, named so that clients have one of each."""
 WhenOrNull = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: it is not.")]
 CameAt = Annotated[MaybeInstant, Field(description="When its occurrence began; null: it never came.")]
 ClearedAt = Annotated[MaybeInstant, Field(description="When its condition ended; null: it did not.")]
@@ -112,13 +112,13 @@ def alarm_message(alarm: Alarm, value: Message | None) -> Message:
 
 
 def present_value(alarms: LineAlarms, alarm: Alarm) -> Message | None:
-    """Return the present value that an alarm is about; None where it is about none, or that is not known."""
+    """Return the present value of an alarm; None if it is about no value, or that is not known."""
     bus = alarm.definition.bus
     return alarms.site.present(alarm) if bus is None else alarms.buses[bus].present(alarm)
 
 
 def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
-    """Show an alarm as it is now."""
+    """Return an alarm in the form of the API."""
     definition, facts = alarm.definition, alarm.facts
     value = present_value(alarms, alarm)
     message = alarm_message(alarm, value)
@@ -152,7 +152,7 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
 
 
 def transition_json(entry: JournalEntry) -> AlarmTransition:
-    """Show an entry of the journal."""
+    """Return an entry of the journal in the form of the API."""
     return {
         "id": entry.id,
         "time": iso(entry.at),
@@ -231,7 +231,7 @@ async def get_alarm_journal(
     limit: Annotated[int, Query(ge=1, le=MAX_ENTRIES)] = 100,
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> AlarmJournal:
-    """List every transition, also of alarms that were shelved, suppressed or out of service."""
+    """List every transition, even of alarms that were shelved, suppressed or out of service."""
     entries = await alarms.store.journal(limit + 1, before)
     following = entries[limit - 1].id if len(entries) > limit else None
     return {"transitions": [transition_json(entry) for entry in entries[:limit]], "next": following}
@@ -241,7 +241,7 @@ MAX_UNITS = 255
 
 
 class AlarmOccurrenceText(TypedDict):
-    """In the reader's language."""
+    """The texts of an occurrence in the reader's language."""
 
     name: str
     place: str
@@ -279,7 +279,7 @@ async def get_alarm_occurrences(
     unit: Annotated[list[str] | None, Query(max_length=MAX_UNITS)] = None,
 ) -> AlarmOccurrences:
     """List when alarms were annunciated and active in a span: those of each ``bus/unit`` named and of its
-    bus, or all. At most the newest 500. What was hidden all the time is in the journal alone."""
+    bus, or all. At most the newest 500. Alarms that were hidden all the time are in the journal only."""
     keys = _keys(alarms, unit or [])
     found = await occurrences(alarms.store, keys, seconds(span.start), seconds(span.end))
     language = templates_of(request).language_of(request)
@@ -356,7 +356,7 @@ async def get_alarm_performance(_: Viewer, performance: WantedPerformance) -> Al
 
 @router.get("/performance.csv", response_class=Response, responses=CSV)
 async def get_alarm_performance_csv(_: Viewer, performance: WantedPerformance, form: WantedCsv) -> Response:
-    """Return the same figures, a row for each."""
+    """Return the figures of ISA-18.2, clause 16, as CSV, a row for each."""
     start, end = (datetime.fromtimestamp(float(at), UTC) for at in (performance.start, performance.end))
     rows = (
         (

@@ -37,15 +37,15 @@ from bus.instants import Clock, ClockWatch, Monotonic, MonotonicClock, UnixTime,
 from bus.messages import Message
 
 Observe = Callable[[Alarm, bool | None, UnixTime], None]
-"""Called with an alarm, whether its condition holds (None: not known), and the time."""
+"""A function that takes an alarm, whether its condition holds (None: not known), and the time."""
 ObservedOwn = tuple[Alarm, OwnCondition]
 _NEVER = UnixTime(0.0)
 
 
 class BusAlarms:
-    """Detects, suppresses and keeps the alarms of one bus. ``has_drift`` tells whether a unit differs from
-    its golden set, ``left_control`` who has left control without releasing it; ``tuned``: limits and delays
-    of the built-in alarms. Call :meth:`load` before the first update."""
+    """The alarms of one bus, detected and suppressed. ``has_drift`` returns whether a unit differs from its
+    golden set, ``left_control`` who has left control without releasing it; ``tuned``: limits and delays of
+    the built-in alarms. Call :meth:`load` before the first update."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class BusAlarms:
         self._suppressors = Suppressors()
         self._clock_watch = ClockWatch(clock(), monotonic())
         self._ages_from = Monotonic(0.0)
-        """Ages mean nothing before this time: the clock was set."""
+        """The time before which ages mean nothing, because the clock was set."""
         self._left_control = left_control
         self.list.subscribe(self._on_alarm)
         live.subscribe(Audience.ALARMS, self._see)
@@ -98,7 +98,7 @@ class BusAlarms:
         self._monitors[settings.unit].add_own(alarm, OwnCondition(settings))
 
     def end_own(self, alarm: Alarm) -> None:
-        """Observe an alarm of the site no longer; it stays in the list."""
+        """Stop observing an alarm of the site, which stays in the list."""
         self._monitors[alarm.definition.unit or 0].end_own(alarm)
         alarm.holds = None
 
@@ -112,7 +112,7 @@ class BusAlarms:
         self._suppress(self.list.alarms.values(), now)
 
     def present(self, alarm: Alarm) -> Message | None:
-        """Return the present value or cause that an alarm is about; None where it is about none."""
+        """Return the present value or cause that an alarm is about; None if it is about none."""
         if alarm is self._control_left:
             return self._left_control()
         if alarm.definition.code == "worker_lost":
@@ -130,7 +130,7 @@ class BusAlarms:
         return self._unit_names
 
     async def follow(self) -> None:
-        """Observe what time changes, and keep the journal, without end."""
+        """Observe what time changes, and keep the journal, until canceled."""
         await self.list.follow(self.tick, self._clock)
 
     def tick(self) -> None:
@@ -218,14 +218,14 @@ class BusAlarms:
             self._suppress(self._monitors[unit].alarms(), self._clock())
 
     def _suppress_again(self, now: UnixTime) -> None:
-        """Judge the suppression of every alarm again where what suppresses on the bus has changed."""
+        """Decide the suppression of every alarm again if what suppresses on the bus has changed."""
         found = self._suppressing()
         if found != self._suppressors:
             self._suppressors = found
             self._suppress(self.list.alarms.values(), now)
 
     def _suppress(self, alarms: Iterable[Alarm], now: UnixTime) -> None:
-        """Judge the suppression of alarms, but of those that are neither active nor about to be."""
+        """Decide the suppression of alarms, except those that are neither active nor about to be."""
         for alarm in alarms:
             concerned = alarm.facts.suppressed or alarm.facts.active or bool(alarm.holds)
             self.list.suppress(alarm, concerned and self._suppresses(alarm), now)
@@ -247,8 +247,8 @@ class BusAlarms:
 def control_left_by(
     holder: str, used_at: Monotonic, present: Collection[str], now: Monotonic
 ) -> Message | None:
-    """Return the holder who has left control without releasing it; None while there is no such holder.
-    ``used_at``: when the holder last sent a command; ``present``: the accounts with an open page."""
+    """Return a message with the holder who has left control without releasing it, or None. ``used_at``: when
+    the holder last sent a command; ``present``: the accounts with an open page."""
     if not CONTROL_LEFT.holds(now - used_at, holder in present):
         return None
     return Message.of("alarm_control_left_by", who=account_shown(holder))
@@ -290,8 +290,8 @@ class _UnitMonitor:
         self._drift = self._alarms[unit_conditions.PARAMETER_DRIFT.code]
         self._read_at = _NEVER
         self._status: tuple[int, int, str, bytes] | None = None
-        """Status bytes, motion and what was implausible of the last reading; None while its values are not
-        known."""
+        """Status bytes, motion and implausible bytes of the last reading; None while its values are
+        unknown."""
         self._window = CountWindow()
 
     def add_own(self, alarm: Alarm, condition: OwnCondition) -> None:
@@ -300,7 +300,7 @@ class _UnitMonitor:
         self._sort_own()
 
     def end_own(self, alarm: Alarm) -> None:
-        """Observe an alarm of the site no longer."""
+        """Stop observing an alarm of the site."""
         del self._own[alarm.definition.key]
         self._sort_own()
 
@@ -314,7 +314,7 @@ class _UnitMonitor:
         return [*self._alarms.values(), *(alarm for alarm, _ in self._own.values())]
 
     def present(self, alarm: Alarm) -> Message | None:
-        """Return the present value that an alarm is about; None where it is about none."""
+        """Return the present value that an alarm is about; None if it is about none."""
         if alarm is self._implausible:
             return unit_conditions.implausible_of(self._unit)
         own = self._own.get(alarm.definition.key)
@@ -330,7 +330,7 @@ class _UnitMonitor:
         self._read_at += step_s
 
     def observe_reading(self, now: UnixTime) -> None:
-        """Observe the last reading. One that is late, or repeats an earlier one, says nothing of the
+        """Observe the last reading, unless it is late or repeats an earlier one, which shows nothing of the
         present."""
         bus, unit, reading = self._bus, self._unit, self._unit.reading
         if reading is None or reading.at <= self._read_at or unit.link.link != "online":
@@ -373,7 +373,8 @@ class _UnitMonitor:
         link = link_facts(self._bus, self._unit, now, bus_is_readable=bus_is_readable)
         self._observe(self._offline, unit_conditions.UNIT_OFFLINE.holds(link), now)
         if link.is_lost or not bus_is_readable:
-            # The loss is an alarm itself: what had no response meanwhile is no poor connection as well.
+            # The loss is an alarm itself: requests without a response meanwhile are no poor connection as
+            # well.
             self._window.restart()
         if self._status is not None and not link.is_online:
             self._lose_values(now)
@@ -392,7 +393,7 @@ class _UnitMonitor:
             self._observe(alarm, None, now)
 
     def observe_parameters(self, now: UnixTime) -> None:
-        """Observe what follows from parameters, or from a setpoint that was staged or executed."""
+        """Observe conditions of parameters, or of a setpoint that was staged or executed."""
         for row in unit_conditions.BY_PARAMETER:
             self._observe(self._alarms[row.code], row.holds(self._bus, self._unit), now)
         self.observe_drift(now)

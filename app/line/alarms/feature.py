@@ -56,7 +56,7 @@ def make(services: Services) -> None:
     of_site = services.add(_alarms_of_site(services, store))
     of_buses = services.of_buses(BusAlarms)
     alarms = services.add(LineAlarms(of_buses, of_site, store, events))
-    # The site's own alarms first: the state of each is loaded after its definition.
+    # The site's own alarms go first: the state of each is loaded after its definition.
     book = services.add(OwnAlarmBook(settings.alarm, settings.bus, alarms, database, events))
     services.lifespan.add("own alarms", start=book.load)
     follow = [of_site.follow, *(of.follow for of in of_buses.values())]

@@ -1,5 +1,5 @@
-"""The tables of alarms: the facts of each, the journal of every transition, and what the journal says of a
-span: the occurrences for charts, and the figures of ISA-18.2."""
+"""The tables of alarms: the facts of each, the journal of every transition, and what follows from the journal
+over a span: the occurrences for charts, and the figures of ISA-18.2."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ T = TypeVar("T")
 _STORED_FACTS = tuple(
     field.name for field in fields(AlarmFacts) if field.name not in ("changing_since", "unknown_since")
 )
-"""A delay begins again after a restart, and whether a condition is known is found out again."""
+"""Facts that are stored: a delay begins again after a restart, and unknown conditions are looked at anew."""
 _FLAGS = ("active", "acknowledged", "latched", "silenced", "suppressed", "out_of_service", "shelved_once")
 _OF_ALARM = ("first_out", "hidden_by", "reason")
 
@@ -55,7 +55,7 @@ class NamedAlarm:
 
     @property
     def shown_name(self) -> str | Message:
-        """The name as it is shown: that of a built-in alarm is a message, in the language of each reader."""
+        """The name to show: for a built-in alarm a message, which is in the language of each reader."""
         return Message(f"alarm_{self.code}") if self.alarm.endswith(f".{self.code}") else self.name
 
 
@@ -193,7 +193,7 @@ class AlarmStore:
         chosen: JournalFilter | None = None,
     ) -> list[JournalEntry]:
         """Return transitions, newest first: all, those of one alarm, or as ``chosen``; ``before``: those
-        older than this entry. Raises TooCostlyError where few of very many are chosen."""
+        older than this entry. Raises TooCostlyError if few of very many are chosen."""
         conditions, values = (chosen or JournalFilter(None if alarm is None else (alarm,))).sql
         where = f"id < ?{conditions} ORDER BY id DESC LIMIT ?"
         query = f"SELECT {', '.join(_COLUMNS)}, id FROM alarm_journal WHERE {where}"
@@ -234,12 +234,12 @@ _ACTIVE = ("unack_active", "ack_active")
 _LAST = (
     "SELECT MAX(id) FROM (SELECT id FROM alarm_journal WHERE at < ? ORDER BY at DESC LIMIT 1000) AS newest"
 )
-"""The newest transition before a time. Transitions of several buses are in order but for moments."""
+"""The newest transition before a time. Transitions of several buses are in order except for moments."""
 
 
 @dataclass(frozen=True, slots=True)
 class Occurrence(RecordedAlarm):
-    """An alarm was annunciated at ``start`` and active until ``end``; None: it still is. Where the clock was
+    """An occurrence: annunciated at ``start`` and active until ``end`` (None: it still is). If the clock was
     set back by more than the occurrence had lasted, the end is the start."""
 
     start: UnixTime
@@ -264,7 +264,7 @@ _FEW, _MANY = 2, 100
 async def occurrences(
     store: AlarmStore, alarms: Iterable[str], start: UnixTime, end: UnixTime
 ) -> list[Occurrence]:
-    """Return the occurrences of a span, oldest first, also those that began before it. Of more than
+    """Return the occurrences of a span, oldest first, even if they began before it. Of more than
     MAX_OCCURRENCES only the newest are returned, and one more. ``alarms``: the keys of alarms."""
     keys = list(alarms)
     return await store.read_costly(lambda connection: _found(connection, keys, start, end))
@@ -327,7 +327,7 @@ _FREQUENT = (
     "SELECT alarm, max(code), max(name), max(bus), max(unit), COUNT(*) AS times FROM alarm_journal"
     f" WHERE {_IN_SPAN} GROUP BY alarm ORDER BY times DESC, alarm LIMIT {MAX_FREQUENT}"
 )
-# Entries are in order by their ids. The time between two is not known where the clock was set back meanwhile.
+# Entries are in order by their ids. The time between two is unknown if the clock was set back meanwhile.
 _CHATTERING = (
     "SELECT COUNT(DISTINCT alarm) FROM (SELECT alarm, at, LAG(at) OVER former AS second,"
     f" LAG(at, 2) OVER former AS first FROM alarm_journal WHERE {_IN_SPAN}"
@@ -361,7 +361,7 @@ class FrequentAlarm(NamedAlarm):
 
 @dataclass(frozen=True, slots=True)
 class AlarmPerformance:
-    """The figures of a span, and in how much of it alarms were observed."""
+    """The figures of a span, and how much of it alarms were observed."""
 
     start: Annotated[
         InstantObject,
@@ -378,7 +378,7 @@ class AlarmPerformance:
         return self.observed_s >= WINDOW_S
 
     def covers(self, span_s: float) -> bool:
-        """Return whether all of a span of this length was observed, but for a restart."""
+        """Return whether all of a span of this length was observed, apart from a restart."""
         return span_s - self.observed_s < WINDOW_S
 
 
@@ -427,7 +427,7 @@ def _measured(
 
 
 def _now(present: Iterable[AlarmFacts], now: UnixTime) -> dict[FigureCode, int]:
-    """Count the states at present, whatever the span."""
+    """Count the present states, whatever the span."""
     present = list(present)
     states = Counter(facts.state for facts in present)
     risen = [facts.came for facts in present if facts.active and not facts.is_hidden]

@@ -1,5 +1,5 @@
-"""The alarms of the site, observed every second; every alarm of the site and its buses, what people do with
-them, and what the head of every page shows."""
+"""The alarms of the site, observed every second; every alarm of the site and its buses, the acts of people on
+them, and the banner in the head of every page."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ class ExpiryWatch:
     ) -> None:
         self._tokens = tokens
         self._ends = {**dict.fromkeys(authorities, max), **dict.fromkeys(certificates, min)}
-        """Which certificate of each file counts: of several authorities the last to end may be the one in
+        """The certificate of each file that counts: of several authorities the last to end may be the one in
         use; of the server's chain, every certificate is needed."""
         self._clock = clock
         self.token: Message | Literal[False] | None = None
         self.certificate: Message | Literal[False] | None = None
 
     async def follow(self) -> None:
-        """Look every minute, without end."""
+        """Look every minute, until canceled."""
         while True:
             with suppress(StoreError):
                 await self.look()
@@ -98,11 +98,11 @@ def _ending(path: Path, which: Callable[[Iterable[UnixTime]], UnixTime]) -> Expi
 
 
 SiteCondition = Callable[[], Message | bool | None]
-"""Returns whether the condition holds, or what it is about where that is one thing; None: not known."""
+"""A function that returns whether the condition holds, or its one subject; None: not known."""
 
 
 class SiteAlarms:
-    """The alarms of the site. The features that know their conditions add them by :meth:`watch`."""
+    """The alarms of the site. Features add the conditions that they know by :meth:`watch`."""
 
     def __init__(
         self,
@@ -113,7 +113,7 @@ class SiteAlarms:
     ) -> None:
         self._conditions: dict[str, SiteCondition] = {}
         self._about: dict[str, Message | None] = {}
-        """What an alarm is about, by its code."""
+        """The subject of each alarm, by its code."""
         self._clock, self._monotonic = clock, monotonic
         self._clock_watch = ClockWatch(clock(), monotonic())
         self.list = AlarmList((built_in(code, None, None, tuned) for code in SERVER_ALARMS), store)
@@ -127,7 +127,7 @@ class SiteAlarms:
         self.list.load(stored, self._clock())
 
     async def follow(self) -> None:
-        """Observe the conditions, and keep the journal, without end."""
+        """Observe the conditions, and keep the journal, until canceled."""
         await self.list.follow(self.tick, self._clock)
 
     def tick(self) -> None:
@@ -140,7 +140,7 @@ class SiteAlarms:
             self._observe(code, None if found is None else bool(found), now)
 
     def present(self, alarm: Alarm) -> Message | None:
-        """Return what an alarm is about, where it names one thing."""
+        """Return the subject of an alarm, if it names one."""
         return self._about.get(alarm.definition.code)
 
     def _observe(self, code: str, holds: bool | None, now: UnixTime) -> None:
@@ -157,7 +157,7 @@ class SiteAlarms:
 
 
 PAUSE_EVERY = 100
-"""Alarms, in a change of many, after which the server does what else is to be done."""
+"""After so many alarms of a large change the server gives other work its turn."""
 
 
 class FoundAlarm(NamedTuple):
@@ -212,7 +212,7 @@ class LineAlarms:
                 index.pop(definition.key, None)
 
     async def write(self) -> None:
-        """Write what is not on disk yet, as far as that is possible."""
+        """Write what is not on disk yet, as far as possible."""
         for each in self._lists:
             for work in (each.write, each.record_observed):
                 with suppress(StoreError):
@@ -233,7 +233,7 @@ class LineAlarms:
         return places
 
     def list_of(self, bus: str) -> AlarmList:
-        """Return the alarms of a bus, or of the site where ``bus`` is empty."""
+        """Return the alarms of a bus, or of the site if ``bus`` is empty."""
         return self.buses[bus].list if bus else self.site.list
 
     def every(self) -> Iterator[Alarm]:
@@ -242,7 +242,7 @@ class LineAlarms:
             yield from each.alarms.values()
 
     def known(self, key: str) -> Alarm | None:
-        """Return the alarm of a key, also one whose definition has ended lately; None for an unknown key."""
+        """Return the alarm of a key, even if its definition ended lately; None for an unknown key."""
         return next((each.known[key] for each in self._lists if key in each.known), None)
 
     async def measure(self, start: UnixTime, end: UnixTime) -> AlarmPerformance:
@@ -270,12 +270,12 @@ class LineAlarms:
         return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
 
     def count_active(self, bus: str, unit: int) -> int:
-        """Return how many annunciated alarms of a unit are active, as the systems of the plant are told."""
+        """Return how many annunciated alarms of a unit are active, as published to the plant's systems."""
         return sum(alarm.facts.active for alarm in self.unit_alarms(bus, unit))
 
     def place(self, bus: str | None, unit: int | None) -> str:
         """Return the name of a bus, or of a unit as the pages of the site show it; empty for the site. Bus
-        and unit may be configured no longer."""
+        and unit may no longer be configured."""
         if bus is None:
             return ""
         names = self.buses[bus].unit_names() if bus in self.buses else {}
@@ -284,7 +284,7 @@ class LineAlarms:
         return name_on_site(bus, names[unit], self.buses)
 
     def find(self, alarm_id: str) -> FoundAlarm:
-        """Return the alarm of an id. Raises Problem 404, or 409 where the id names an earlier occurrence."""
+        """Return the alarm of an id. Raises Problem 404, or 409 if the id names an earlier occurrence."""
         key, _, occurrence = alarm_id.rpartition(".")
         for each in self._lists:
             alarm = each.alarms.get(key)
@@ -298,8 +298,8 @@ class LineAlarms:
         raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id[:200]))
 
     async def act(self, person: Person, act: AlarmAct, alarm_id: str, body: ActBody | None = None) -> Alarm:
-        """Do ``act`` to the occurrence of an id; ``body``: what was sent with the act. Raises Problem 403,
-        404 or, where the alarm has come again or its state has no such transition, 409."""
+        """Do ``act`` to the occurrence of an id; ``body``: the body of the request. Raises Problem 403, 404
+        or, if the alarm has come again or its state has no such transition, 409."""
         act.check(person)
         body = body or act.body()
         async with self.find(alarm_id).list.writing:
@@ -318,8 +318,8 @@ class LineAlarms:
         return alarm
 
     async def silence_sounding(self, person: Person, until: UnixTime) -> None:
-        """End the sound of every alarm that began to sound by ``until``; where that cannot be recorded, no
-        alarm is silenced. Raises Problem 403 and StoreError."""
+        """End the sound of every alarm that began to sound by ``until``; if that cannot be recorded, no alarm
+        is silenced. Raises Problem 403 and StoreError."""
         SILENCE_SOUNDING.check(person)
         async with AsyncExitStack() as writing:
             for each in self._lists:
@@ -367,8 +367,8 @@ def rank(alarm: Alarm) -> tuple[bool, bool, int, float]:
 
 
 class AlarmBanner:
-    """What the head of every page and the tiles show of the alarms, as fields. ``changed`` is another text
-    after each change, so that an open summary draws itself again."""
+    """The fields of alarms in the head of every page and on the tiles. ``changed`` is another text after each
+    change, so that an open summary draws itself again."""
 
     def __init__(self, alarms: LineAlarms) -> None:
         self._alarms = alarms
@@ -380,7 +380,7 @@ class AlarmBanner:
 
     def banner(self, translator: Translator) -> Fields:
         """Return the mark of the first alarm, and how many are active and wait for an acknowledgement. Of
-        those that are as urgent as the first, one that waits comes before the others."""
+        alarms as urgent as the first, one that waits comes before the others."""
         found = self._alarms.annunciated()
         first = min(found, key=lambda alarm: (rank(alarm)[:3], not alarm.is_unacknowledged), default=None)
         active, waiting = alarm_counts(

@@ -95,7 +95,7 @@ class OwnAlarmBook:
         """Held during an act: names and their number are checked before the alarm is stored."""
 
     async def load(self) -> None:
-        """Observe the stored alarms that fit the configuration, and leave the others aside."""
+        """Observe the stored alarms that fit the configuration, and set the others aside."""
         for row in await self._database.read(_stored):
             name = row["alarm"]
             try:
@@ -116,14 +116,13 @@ class OwnAlarmBook:
         self.left_aside[row["alarm"]] = OwnAlarmLeftAside(row["alarm"], name, row["version"], why)
 
     def every(self) -> list[tuple[AlarmSettings, OwnAlarm | None]]:
-        """Return every alarm that is observed; None in place of the `OwnAlarm` for one of the
-        configuration."""
+        """Return every observed alarm, with its `OwnAlarm`, which is None for one of the configuration."""
         configured = [(settings, None) for settings in self.configured.values()]
         added = [(own.settings, own) for own in self.added.values()]
         return [*configured, *added]
 
     def _fitting(self, written: Mapping[str, Any]) -> AlarmSettings:
-        """Read an alarm as a person wrote it. Raises Problem 422, or 409 where its name is taken."""
+        """Read an alarm as a person wrote it. Raises Problem 422, or 409 if its name is taken."""
         settings = proposed(written, self._bus_settings)
         if (settings.bus, settings.name) in {(each.bus, each.name) for each, _ in self.every()}:
             raise Problem(409, "taken", Message.of("own_alarm_taken", name=settings.name, bus=settings.bus))
@@ -165,7 +164,7 @@ class OwnAlarmBook:
     async def change(
         self, person: Person, key: str, version: int, written: Mapping[str, Any], reason: str = ""
     ) -> OwnAlarm:
-        """Replace the definition of an alarm, whose name and unit stay. The alarm ends, and comes again by
+        """Replace the definition of an alarm, whose name and unit stay. The alarm ends, and comes again with
         the next reading that fulfills the new definition. ``version``: the one that was changed. Raises
         Problem."""
         CHANGE_OWN.check(person)
@@ -275,7 +274,7 @@ WrittenDelay = Annotated[float | int, Field(description="Seconds, up to a day.")
 
 
 class OwnAlarmRequest(StrictBody):
-    """An alarm as ``[[alarm]]`` of lineside.toml has it."""
+    """An alarm with the keys of ``[[alarm]]`` in lineside.toml."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
@@ -304,7 +303,7 @@ class OwnAlarmRequest(StrictBody):
 
 
 class AlarmSimulationRequest(OwnAlarmRequest):
-    """An alarm as ``[[alarm]]`` of lineside.toml has it, and a span; the last week by default."""
+    """An alarm with the keys of ``[[alarm]]`` in lineside.toml, and a span; the last week by default."""
 
     model_config = ConfigDict(populate_by_name=True)
 
@@ -399,7 +398,7 @@ async def simulate_alarm(
 
 
 def _shown(settings: AlarmSettings, own: OwnAlarm | None) -> OwnAlarmShown:
-    """Show an alarm of the site; ``own``: the alarm as it was added, None for one of the configuration."""
+    """Return an alarm of the site in the form of the API; ``own``: None for one of the configuration."""
     return OwnAlarmShown.model_construct(
         **dict(settings),
         id=own_key(settings.bus, settings.unit, settings.name),

@@ -1,4 +1,4 @@
-"""Alarms that the site defines: read from what a person wrote, defined, and judged by readings."""
+"""Alarms that the site defines: parsed from the text of a person, defined, and judged by readings."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class OwnCondition:
 
     settings: AlarmSettings
     of_state: bool = field(init=False)
-    """Whether the alarm is about an input or an output, which only another status byte can change."""
+    """Whether the alarm is about an input or an output, which only a new status byte can change."""
     _value: Callable[[UnitLive, Reading], int | None] = field(init=False)
     _rate: ChangeRate = field(default_factory=ChangeRate)
     _decimals: int | None = None
@@ -183,7 +183,7 @@ def _fault(details: ErrorDetails) -> Message:
 
 
 def in_toml(settings: AlarmSettings) -> str:
-    """Return the entry for lineside.toml, with only what is not the default."""
+    """Return the entry for lineside.toml, without default values."""
     lines = ["[[alarm]]"]
     for key, value in settings.model_dump(mode="json", exclude_defaults=True).items():
         lines.append(f"{key} = {_toml(value)}")

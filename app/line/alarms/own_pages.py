@@ -46,8 +46,8 @@ WrittenField = Annotated[str, Field(max_length=80)]
 
 
 class OwnValueWords(NamedTuple):
-    """The name of a value in a reader's language, by the label of the unit if that has one, and its unit of
-    measure, empty where none is configured."""
+    """The name of a value in a reader's language, by the label of the unit if it has one, and its unit of
+    measure, empty if none is configured."""
 
     name: str
     measure: str

@@ -39,8 +39,8 @@ MAX_ROWS = 100
 
 
 class AlarmRow(NamedTuple):
-    """An alarm as a page shows it: with its place, the present value that it is about, and whether it came
-    three times within a minute."""
+    """An alarm as a page shows it: with its place, its present value, and whether it came three times within
+    a minute."""
 
     alarm: Alarm
     place: str
@@ -51,8 +51,8 @@ class AlarmRow(NamedTuple):
 def _list_fields(
     alarms: LineAlarms, chosen: dict[str, str], now: UnixTime, shown: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Return what the list of alarms shows. ``shown``: the keys of the rows that a person sees. These stay in
-    their places, also where they match no longer, and new alarms come after them."""
+    """Return the fields of the list of alarms. ``shown``: the keys of the rows that a person sees. These stay
+    in their places, even if they match no longer, and new alarms come after them."""
     known = (alarms.known(key) for key in shown)
     kept = dict.fromkeys(alarm for alarm in known if alarm is not None)
     new = [alarm for alarm in alarms.present() if alarm not in kept and _matches(alarm, chosen)]
@@ -70,7 +70,7 @@ def _list_fields(
 
 
 def _query(chosen: dict[str, str]) -> str:
-    """Return what a person filters by as the query of a link."""
+    """Return the filters of a person as the query of a link."""
     return urlencode({name: value for name, value in chosen.items() if value})
 
 
@@ -107,7 +107,7 @@ router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 ON_A_PAGE = 100
 MAX_FOUND = 5000
-"""Alarms that a search may find: their keys are values of one statement."""
+"""The most alarms that a search may find: their keys are values of one statement."""
 AFTER: tuple[AlarmState, ...] = (
     "unack_active",
     "ack_active",
@@ -196,7 +196,7 @@ ShownKeys = Sequence[Annotated[str, StringConstraints(max_length=200)]]
 async def chosen_filters(
     state: TypedFilter = "", priority: TypedFilter = "", place: TypedFilter = "", group: TypedFilter = ""
 ) -> dict[str, str]:
-    """Return what a person filters by; an empty text filters nothing."""
+    """Return the filters of a person; an empty text filters nothing."""
     return {"state": state, "priority": priority, "place": place, "group": group}
 
 

@@ -20,15 +20,15 @@ WINDOW_S = 600
 """Rates are judged in windows of ten minutes."""
 DAY_S = 86_400
 MANY = 10
-"""A flood begins with more alarms in a window than this: a person cannot respond to them."""
+"""The alarms in a window above which a flood begins: a person cannot respond to them."""
 FEW = 5
-"""A flood is over with fewer alarms than this in a window."""
+"""The alarms in a window below which a flood is over."""
 CHATTERS_S = 60.0
-"""An alarm that comes three times within this chatters."""
+"""The seconds within which an alarm comes three times if it chatters."""
 FLEETING_S = 10.0
-"""An alarm that clears sooner, before a person could act, is fleeting."""
+"""An alarm that clears within so many seconds, before a person could act, is fleeting."""
 STALE_S = 24 * 3600.0
-"""An alarm that stays active longer is stale."""
+"""An alarm that stays active for more seconds is stale."""
 MIN_FOR_TOP_TEN = 200
 """Of fewer annunciated alarms, ten are more than 5 % in any case: their share has no value."""
 
@@ -88,7 +88,7 @@ class AlarmFigure:
 
 
 def judged(code: FigureCode, value: float | None) -> AlarmFigure:
-    """Return a figure against its target; ``value`` is None where there was nothing to measure."""
+    """Return a figure against its target; ``value`` is None if there was nothing to measure."""
     at_most, at_least = AT_MOST.get(code), AT_LEAST.get(code)
     met = None
     if value is not None and (at_most is not None or at_least is not None):
@@ -98,8 +98,8 @@ def judged(code: FigureCode, value: float | None) -> AlarmFigure:
 
 @dataclass(frozen=True, slots=True)
 class AlarmCounts:
-    """What the journal has of a span in which alarms were observed for ``observed_s``, and the states at
-    present. ``in_windows``: alarms annunciated in each window of ten minutes that has any; ``top_ten``: how
+    """The counts of the journal over a span in which alarms were observed for ``observed_s``, and the present
+    states. ``in_windows``: alarms annunciated in each window of ten minutes that has any; ``top_ten``: how
     often the ten most frequent alarms came."""
 
     observed_s: float
@@ -165,7 +165,7 @@ MAX_COUNTED = 1000
 
 
 class AlarmRates:
-    """The alarms annunciated in the last ten minutes, as they came."""
+    """The alarms annunciated in the last ten minutes, in order."""
 
     def __init__(self) -> None:
         self._came: deque[UnixTime] = deque(maxlen=MAX_COUNTED)
@@ -173,7 +173,7 @@ class AlarmRates:
         self._is_flood = False
 
     def note(self, alarm: str, at: UnixTime) -> None:
-        """Count the annunciation of an alarm, by its key; one that was counted already counts once."""
+        """Count the annunciation of an alarm, by its key; one that is counted already counts once."""
         rises = self._of_alarm.setdefault(alarm, deque(maxlen=RISES_OF_CHATTER))
         if rises and rises[-1] == at:
             return
@@ -191,7 +191,7 @@ class AlarmRates:
 
     def flood(self, now: UnixTime) -> int:
         """Count the alarms of the last ten minutes in a flood: from more than ten on, until there are fewer
-        than five. 0 where there is no flood."""
+        than five. Return 0 without a flood."""
         count = self.count(now)
         return count if self._is_flood else 0
 
@@ -204,7 +204,7 @@ class AlarmRates:
 
 
 MAX_GAP_S = 60.0
-"""Conditions are observed every second. After a longer gap the server stood still, or the clock was set."""
+"""The longest gap of one span in seconds. After a longer one the server stood still, or the clock was set."""
 
 
 class ObservedSpan(NamedTuple):
@@ -215,14 +215,14 @@ class ObservedSpan(NamedTuple):
 
 
 def observed_until(now: UnixTime, former: ObservedSpan | None) -> ObservedSpan:
-    """Return the former span extended to ``now``; a new one where ``now`` does not follow the former."""
+    """Return the former span extended to ``now``, or a new one if ``now`` does not follow the former."""
     if former is None or not 0 <= now - former.end <= MAX_GAP_S:
         return ObservedSpan(now, now)
     return former._replace(end=now)
 
 
 def observed_within(spans: Iterable[ObservedSpan], start: UnixTime, end: UnixTime) -> list[ObservedSpan]:
-    """Return the parts of a time that were observed, without overlaps, in order."""
+    """Return the observed parts of a time, without overlaps, in order."""
     found: list[ObservedSpan] = []
     for span in sorted(ObservedSpan(max(each.start, start), min(each.end, end)) for each in spans):
         if span.start >= span.end:

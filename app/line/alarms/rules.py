@@ -43,25 +43,25 @@ class AlarmAttributes:
     on_delay_s: float = 0.0
     off_delay_s: float = 0.0
     realarm_s: float | None = None
-    """How long after its acknowledgement an active alarm is annunciated again; None: never."""
+    """The seconds after its acknowledgement when an active alarm is annunciated again; None: never."""
     latching: bool = False
-    """The alarm stays after its condition has ended, until a person resets it."""
+    """Whether the alarm stays after its condition has ended, until a person resets it."""
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmFacts:
-    """What is known of an alarm. ``occurrence`` counts how often it has risen."""
+    """The facts about an alarm. ``occurrence`` counts how often it has risen."""
 
     active: bool = False
     acknowledged: bool = True
     latched: bool = False
     silenced: bool = False
-    """A person ended the sound; the alarm sounds again when it comes again."""
+    """Whether a person ended the sound; the alarm sounds again when it comes again."""
     suppressed: bool = False
     out_of_service: bool = False
     shelved_until: UnixTime | None = None
     shelved_once: bool = False
-    """The shelving ends with the condition, at the latest at ``shelved_until``."""
+    """Whether the shelving ends with the condition, at the latest at ``shelved_until``."""
     occurrence: int = 0
     since: UnixTime | None = None
     """When the present state began."""
@@ -72,7 +72,7 @@ class AlarmFacts:
     acknowledged_at: UnixTime | None = None
     """When a person acknowledged the occurrence; None: no one has."""
     changing_since: UnixTime | None = None
-    """When the condition became other than ``active``: a delay runs."""
+    """When the condition became other than ``active``, which starts a delay."""
     unknown_since: UnixTime | None = None
     """Since when the condition is not known."""
 
@@ -102,7 +102,7 @@ class AlarmFacts:
 
     @property
     def state(self) -> AlarmState:
-        """The present state. Where several things hide the alarm, the one that a person has to end counts."""
+        """The present state. If several things hide the alarm, the one that a person has to end counts."""
         if self.out_of_service:
             return "out_of_service"
         if self.shelved_until is not None:
@@ -115,7 +115,7 @@ _TIMES = ("shelved_until", "since", "came", "cleared", "acknowledged_at", "chang
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """A change of an alarm. ``before`` equals ``after`` where only something hidden has changed."""
+    """A change of an alarm. ``before`` equals ``after`` if only something hidden has changed."""
 
     at: UnixTime
     trigger: AlarmTrigger
@@ -129,11 +129,11 @@ Changed = tuple[AlarmFacts, tuple[Transition, ...]]
 
 
 class NoTransitionError(Exception):
-    """The standard has no such transition from the present state."""
+    """Raised when the standard has no such transition from the present state."""
 
 
 def due_at(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
-    """Return when the next transition comes by time alone; None: never."""
+    """Return when the next transition is due by time alone; None: never."""
     times = (_detection_due(facts, attributes), facts.shelved_until, _realarm_due(facts, attributes))
     return min((time for time in times if time is not None), default=None)
 
@@ -158,7 +158,7 @@ def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
 
 
 def observe(facts: AlarmFacts, attributes: AlarmAttributes, holds: bool | None, at: UnixTime) -> Changed:
-    """Take in whether the condition holds. While that is not known (None), the alarm neither rises nor
+    """Apply whether the condition holds. While that is not known (None), the alarm neither rises nor
     clears."""
     facts, passed = advance(facts, attributes, at)
     if holds is None:
@@ -202,21 +202,21 @@ def _detect(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Cha
 
 
 def acknowledge(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """Acknowledge an alarm. Raises NoTransitionError, also while the alarm is hidden."""
+    """Acknowledge an alarm. Raises NoTransitionError, even while the alarm is hidden."""
     if facts.is_hidden or facts.acknowledged:
         raise NoTransitionError
     return _acknowledged(facts, at)
 
 
 def reset(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """End a latch. Raises NoTransitionError, also while the alarm is hidden."""
+    """End a latch. Raises NoTransitionError, even while the alarm is hidden."""
     if facts.is_hidden or not (facts.latched and facts.acknowledged):
         raise NoTransitionError
     return _reset(facts, at)
 
 
 def silence(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """End the sound of an alarm, whose state stays. Raises NoTransitionError where it does not sound."""
+    """End the sound of an alarm, whose state stays. Raises NoTransitionError if it does not sound."""
     if not facts.sounds:
         raise NoTransitionError
     return _moved(facts, replace(facts, silenced=True), "silence", at)
@@ -253,7 +253,7 @@ def return_to_service(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Ch
 
 
 def suppress(facts: AlarmFacts, suppressed: bool, at: UnixTime) -> Changed:
-    """Begin or end the suppression by design; no transition where nothing changes."""
+    """Begin or end the suppression by design; no transition if nothing changes."""
     if facts.suppressed == suppressed:
         return facts, ()
     after = replace(facts, suppressed=suppressed)
@@ -319,8 +319,8 @@ def _unshelved(facts: AlarmFacts, at: UnixTime) -> Changed:
 
 
 def _shown(before: AlarmFacts, after: AlarmFacts, trigger: AlarmTrigger, at: UnixTime) -> Changed:
-    """End one thing that hides an alarm. An alarm that nothing hides any more comes back as normal or, while
-    it is active or latched, unacknowledged (G, H, I → A or B)."""
+    """End one of the reasons that hide an alarm. An alarm that nothing hides any more comes back as normal
+    or, while it is active or latched, unacknowledged (G, H, I → A or B)."""
     if not after.is_hidden:
         is_over = not (after.active or after.latched)
         after = replace(
@@ -391,7 +391,7 @@ COUNTED_S = 60.0
 
 @dataclass(slots=True)
 class CountWindow:
-    """A count of a total and its faults in windows of a minute. None until the first window is over."""
+    """The counts of a total and its faults in the last window of a minute; None until one is over."""
 
     total: int | None = None
     faults: int | None = None
@@ -407,7 +407,7 @@ class CountWindow:
         self._at = None
 
     def see(self, total: int, faults: int, at: UnixTime) -> None:
-        """Add the present counters. A worker that was started again counts from zero."""
+        """Add the present counters. Those of a worker that was restarted begin at zero."""
         is_restarted = total < self._from[0] or faults < self._from[1]
         if self._at is None or is_restarted or at < self._at:
             self._at, self._from = at, (total, faults)
@@ -417,7 +417,7 @@ class CountWindow:
 
 
 DISTURBANCE_S = 5.0
-"""Alarms that rise within this time of the first belong to one disturbance."""
+"""The seconds within which alarms that rise after the first belong to one disturbance."""
 
 
 @dataclass(slots=True)

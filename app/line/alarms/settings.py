@@ -1,4 +1,4 @@
-"""The site's own alarms (``[[alarm]]`` of lineside.toml), and the limits and delays that it sets of built-in
+"""The site's own alarms (``[[alarm]]`` of lineside.toml), and the limits and delays that it sets for built-in
 ones (``[[built_in_alarm]]``)."""
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class AlarmSettings(StrictModel):
     below: Limit | None = None
     deadband: Annotated[Limit, Field(ge=0)] = Decimal(0)
     change_per_s: Annotated[Limit | None, Field(gt=0)] = None
-    """The value changes faster than this, in either direction."""
+    """The change per second, in either direction, above which the alarm comes."""
     state: Literal["on", "off"] | None = None
-    """An input or an output is in this state for longer than ``on_delay_s``."""
+    """The state of an input or an output that brings the alarm after ``on_delay_s``."""
     on_delay_s: Delay = 0.0
     off_delay_s: Delay = 0.0
     realarm_s: Annotated[
@@ -125,7 +125,7 @@ class BuiltInAlarmSettings(StrictModel):
     bus: str | None = None
     unit: AddressSetting | None = None
     above_percent: Percent | None = None
-    """Of the maximum display value (#2), or of the range of the analog input."""
+    """A percentage of the maximum display value (#2), or of the range of the analog input."""
     below_percent: Percent | None = None
     deadband_percent: Percent | None = None
     on_delay_s: Delay | None = None
@@ -133,7 +133,7 @@ class BuiltInAlarmSettings(StrictModel):
 
     @property
     def place(self) -> tuple[str, str | None, int | None]:
-        """Code, bus and unit."""
+        """The code, the bus and the unit."""
         return self.code, self.bus, self.unit
 
     @property
@@ -149,7 +149,7 @@ class BuiltInAlarmSettings(StrictModel):
 def tuning_of(
     entries: Iterable[BuiltInAlarmSettings], code: str, bus: str | None, unit: int | None
 ) -> Tuning:
-    """Return the limits and delays of an alarm: what is set for its unit, else for its bus, else everywhere,
+    """Return the limits and delays of an alarm: those set for its unit, else for its bus, else everywhere,
     else those of its condition."""
     found = CONDITIONS[code].tuning
     covering = [each for each in entries if each.covers(code, bus, unit)]
@@ -164,7 +164,7 @@ SettingFault = tuple[str, str, dict[str, str | int]]
 
 def refuse_built_in(entries: Sequence[BuiltInAlarmSettings], buses: Iterable[BusSettings]) -> None:
     """Raise PydanticCustomError for an entry at a place that its alarm does not have, one that sets nothing
-    or what its alarm does not have, one given twice, and limits that no value can keep."""
+    or keys that its alarm does not have, one given twice, and limits that no value can keep."""
     units = _units_of(buses)
     for index, each in enumerate(entries):
         if each.code in FORMER_ALARMS:

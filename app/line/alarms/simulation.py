@@ -1,5 +1,5 @@
-"""Simulates an alarm of the site over stored readings, by the rules that judge the present: one simulation at
-a time, each within its bounds, in pieces that leave time for everything else."""
+"""The simulation of an alarm of the site over stored readings, by the rules that judge the present: one at a
+time, each within its bounds, in pieces that leave time for everything else."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Annunciations:
 
     at: list[UnixTime] = field(default_factory=list)
     lengths: list[float] = field(default_factory=list)
-    """Seconds for which it was active and not hidden, each time."""
+    """The seconds for which it was active and not hidden, each time."""
     stands_since: UnixTime | None = None
 
     def see(self, transitions: Sequence[Transition]) -> None:
@@ -75,7 +75,7 @@ class Annunciations:
 
 @dataclass(frozen=True, slots=True)
 class AlarmSimulation:
-    """What the alarm would have done. Durations in seconds."""
+    """The result of a simulation. Durations in seconds."""
 
     start: Annotated[InstantObject, Field(serialization_alias="from")]
     end: Annotated[InstantObject, Field(serialization_alias="to")]
@@ -102,7 +102,7 @@ AtRest = Callable[[int], bool]
 
 
 def _line_at_rest(units: Sequence[Sequence[ZeroStep]]) -> AtRest:
-    """Return a function that tells whether the line was at rest at a time, by the steps of each unit in
+    """Return a function that returns whether the line was at rest at a time, by the steps of each unit in
     order. A unit without steps is no proof of rest; before its first step a unit was as after it."""
     if not units or not all(units):
         return lambda _: False
@@ -120,12 +120,12 @@ def _line_at_rest(units: Sequence[Sequence[ZeroStep]]) -> AtRest:
 
 _BEFORE = 1e-6
 USUAL_SHARE = 0.9
-"""With a smaller share of the readings of the minute before, some are missing."""
+"""The share of the readings of the minute before below which some are missing."""
 
 
 class Replay:
-    """Feed it minutes in order of time. What they have before ``start`` or after ``end`` is left out.
-    ``steps``: the values of parameters that scale."""
+    """The replay of stored minutes, fed in order of time. Parts before ``start`` or after ``end`` are left
+    out. ``steps``: the values of parameters that scale."""
 
     def __init__(
         self,
@@ -157,7 +157,7 @@ class Replay:
 
     def passes(self, row: Rollup) -> bool:
         """Pass a minute in which the alarm cannot have begun: no reading is missing, and neither extreme
-        fulfills the condition. Return False where the readings of the minute have to be judged."""
+        fulfills the condition. Return False if the readings of the minute have to be judged."""
         self._set_parameters(row.start)
         fewer, self._readings = row.readings < USUAL_SHARE * self._readings, row.readings
         is_quiet = self._holds is False and not self._facts.active and self._facts.changing_since is None
@@ -181,7 +181,7 @@ class Replay:
             times.insert(1, min(ends, begins + round(ChangeRate.SPAN_S * SECOND)))
         for at in dict.fromkeys(times):
             rests = self._definition.group == "speed" and run.commanded == 0 and at_rest(at)
-            # The readings in between were received, too: there is no gap in a run.
+            # The readings in between were received too: there is no gap in a run.
             self._see(_reading(self._settings.unit, run, at), rests, inside=at != begins)
 
     def end(self, at: UnixTime) -> None:
@@ -202,7 +202,7 @@ class Replay:
         self._estop = ESTOP_ACTIVE.holds(unit_facts(self._live, self._unit, reading))
         self._hide(reading.at)
         self._observe(self._judge(reading), reading.at)
-        # The engine sees an e-stop with the reading that shows it, and a line at rest after that.
+        # The engine sees an e-stop with the reading that shows it, but a line at rest only afterwards.
         self._at_rest = at_rest
         self._hide(reading.at)
 
@@ -270,7 +270,7 @@ def extremes(unit: int, value: str, row: Rollup) -> tuple[Reading, Reading]:
     bit: with the bits that were on in every reading, and in any. Neither reading needs to have been sent."""
     speeds = (row.commanded_min, row.actual_min), (row.commanded_max, row.actual_max)
     if value == "deviation":
-        # Where the two ranges overlap, they may have been equal.
+        # If the two ranges overlap, the speeds may have been equal.
         common = max(row.commanded_min, row.actual_min)
         apart = (row.commanded_min, row.actual_max), (row.commanded_max, row.actual_min)
         least = common, min(common, row.commanded_max, row.actual_max)
@@ -285,9 +285,9 @@ def extremes(unit: int, value: str, row: Rollup) -> tuple[Reading, Reading]:
 
 
 MAX_WAITING = 3
-"""Simulations of one account that wait for their turn."""
+"""The most simulations of one account that wait for their turn."""
 WORK_S = 10.0
-"""CPU time of a thread that one simulation may take."""
+"""The seconds of CPU time that one simulation may take."""
 
 
 class Simulator:
@@ -301,8 +301,8 @@ class Simulator:
     async def run(
         self, bus: BusSettings, settings: AlarmSettings, start: UnixTime, end: UnixTime, account: str
     ) -> AlarmSimulation:
-        """Return what an alarm would have done from ``start`` to ``end``. Raises StoreError where history
-        cannot be read, TooManyWaitingError where too many simulations of the account wait."""
+        """Return what an alarm would have done from ``start`` to ``end``. Raises StoreError if history cannot
+        be read, TooManyWaitingError if too many simulations of the account wait."""
         async with self._turns.turn(account):
             return await self._run(bus, settings, start, end)
 
@@ -327,7 +327,7 @@ class Simulator:
                 costly=True,
             )
             spent += took
-            # A pause as long as the work: what others do comes first.
+            # The pause is as long as the work, so that the work of others comes first.
             await asyncio.sleep(took)
             since = until
         reached = max(covered_from, UnixTime(min(since, micros(end)) / SECOND))
@@ -388,8 +388,8 @@ def _outcome(
 
 
 class StoredHour:
-    """A source that feeds one hour of a unit from the store, on one connection. ``start`` and ``end``:
-    complete minutes, µs."""
+    """One hour of a unit from the store, read on one connection. ``start`` and ``end``: complete minutes,
+    µs."""
 
     def __init__(
         self, connection: tables.StoreConnection, tail: Tail, bus: BusSettings, start: int, end: int
@@ -402,7 +402,7 @@ class StoredHour:
         self._runs: dict[int, list[Run]] | None = None
 
     def feed(self, replay: Replay, settings: AlarmSettings) -> None:
-        """Let ``replay`` see every minute that is stored."""
+        """Feed every stored minute to ``replay``."""
         source = self._source(settings.unit)
         if source is None:
             return
@@ -431,7 +431,7 @@ class StoredHour:
         return self._rest(at)
 
     def _zero_steps(self, unit: int) -> list[ZeroStep]:
-        """Return the steps of a unit; by the minute where none had both zero and another commanded speed."""
+        """Return the steps of a unit, from minutes if none had both zero and another commanded speed."""
         source = self._source(unit)
         if source is None:
             return []

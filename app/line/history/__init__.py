@@ -1,1 +1,1 @@
-"""Stored readings: every one kept, downsampled by age, and drawn over any span."""
+"""Stored readings: every reading at first, downsampled by age, and drawn over any span."""

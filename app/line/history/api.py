@@ -1,5 +1,5 @@
-"""``GET /api/v1/history`` and what goes with it. Every request names a span, and may name values and a number
-of points; limits are refused in words."""
+"""``GET /api/v1/history`` and its relatives. Every request names a span, and may name values and a number of
+points; limits are refused in words."""
 
 from __future__ import annotations
 
@@ -232,7 +232,7 @@ MAX_MARKS = 500
 MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
 """Events that explain a curve; sign-ins do not."""
 LATE = ("event_history_follows", "event_readings_late")
-"""Events about readings that came late: the message has the span of these."""
+"""Events about readings that came late, whose message has the span of the readings."""
 _TEXTS = ("what", "old", "new")
 """The fields of a mark that may be messages."""
 _OF_MARK = ("id", "kind", "who", "bus", "unit", "outcome", *_TEXTS)
@@ -254,7 +254,7 @@ async def marks_of(
     found, after = await events.page(Filter(since=start, until=end), MAX_MARKS)
     marks = [Mark(event["time"], None, event) for event in found if _explains(event, units)]
     for code in LATE:
-        # Readings come after their time, perhaps long after.
+        # Readings may come long after their time.
         late, _ = await events.page(Filter(since=start, code=code), MAX_MARKS)
         spans = (Mark(_time(event, "since"), _time(event, "until"), event) for event in late)
         marks += [mark for mark in spans if mark.at < end and start <= (mark.until or mark.at)]
@@ -262,7 +262,7 @@ async def marks_of(
 
 
 def shown_mark(mark: Mark, times: str, language: Language) -> dict[str, Any]:
-    """Return a mark as the API has it; ``times``: iso or epoch."""
+    """Return a mark in the form of the API; ``times``: iso or epoch."""
     event = mark.event
     messages = {name: event["messages"][name] for name in _TEXTS if name in event["messages"]}
     texts = {name: event[name] for name in _TEXTS if event[name]}
@@ -300,7 +300,7 @@ TimeFormat = Annotated[Literal["iso", "epoch"], Query(alias="format")]
 
 
 def shown(requested: SeriesQuery, found: QueryResult, times: str) -> dict[str, Any]:
-    """Return a result as the API has it."""
+    """Return a result in the form of the API."""
     unit = values.unit_settings(requested.bus, requested.unit)
     at = map(seconds, found.series.at)
     return {
@@ -332,12 +332,10 @@ async def get_history(
     times: TimeFormat = "iso",
 ) -> Response:
     """Return one value of one unit over a span, in at most ``points`` (1 to 20 000, else 1000) points.
-
-    Columns ``t``, ``min``, ``max``, ``avg`` in display units, with the decimals (#3) and the analog
-    scale (#22, #23) as they were known at that time. Every reading itself (``bucket_s`` 0) where that
-    fits; equal readings one after the other are given as the first and the last. A null between is a
-    hole. ``format=epoch`` gives times in seconds since the epoch.
-    """
+    Columns ``t``, ``min``, ``max``, ``avg`` in display units, with the decimals (#3) and the analog scale
+    (#22, #23) as they were known at that time. Every reading itself (``bucket_s`` 0) if that fits; of equal
+    consecutive readings the first and the last. A null between is a hole. ``format=epoch`` gives times in
+    seconds since the epoch."""
     requested = series_query(history, bus, unit, value, span, points)
     (found,) = await history.query([requested])
     return await json_response(lambda: shown(requested, found, times))
@@ -352,8 +350,8 @@ async def get_history_series(
     series: Annotated[list[str], Query()],
     times: TimeFormat = "iso",
 ) -> Response:
-    """Return several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history
-    gives."""
+    """Return several values at once, each named ``bus/unit/value`` (1 to 32): a list of results of GET
+    /history."""
     requested = series_queries(history, series, span, points)
     found = await history.query(requested)
     return await json_response(lambda: [shown(q, a, times) for q, a in zip(requested, found, strict=True)])
@@ -423,7 +421,7 @@ async def export_history(
     """Export any span as CSV or Parquet, streamed: ``series`` may be repeated, each ``bus/unit/value``. Of a
     draw the file has the two speeds that it is made of.
 
-    ``resolution`` auto: values if they are stored for the complete span, else minutes. ``layout=table``, of
+    ``resolution`` auto: readings if they are stored for the complete span, else minutes. ``layout=table``, of
     CSV: one row a time (a second, or longer over a long span) with every value in force then, in local time,
     under the names of units in the reader's language; ``form=reader``: also with the separator and the
     decimal sign of that language.

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 Format = Literal["csv", "parquet"]
 ExportResolution = Literal["auto", Resolution]
 Layout = Literal["readings", "table"]
-"""A row for each reading, or for each step of time with all values filled in."""
+"""The rows of a file: one for each reading, or one for each step of time with all values filled in."""
 
 
 async def export_response(
@@ -64,8 +64,8 @@ async def export_response(
     form: CsvForm = FOR_PROGRAMS,
     layout: Layout = "readings",
 ) -> StreamingResponse:
-    """Stream an export, so that it takes no more memory for a year. ``form`` and ``layout`` are those of CSV.
-    Raises StoreError or Problem before it begins."""
+    """Stream an export, so that a year takes no more memory than a day. ``form`` and ``layout`` are those of
+    CSV. Raises StoreError or Problem before it begins."""
     if file == "parquet" and not await _parquet_is_usable():
         raise Problem(501, "no_parquet", Message("no_parquet"))
     fineness = await _fineness(history, queries, resolution)
@@ -151,7 +151,7 @@ def has_parquet() -> bool:
 
 
 async def _parquet_is_usable() -> bool:
-    """Return whether pyarrow can be imported, too, with everything that it needs."""
+    """Return whether pyarrow can also be imported, with everything that it needs."""
     return has_parquet() and await asyncio.to_thread(_can_import)
 
 
@@ -211,11 +211,11 @@ def _taken(sink: io.BytesIO) -> bytes:
 
 
 PIECE: dict[Resolution, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
-"""The span that one read has, µs."""
+"""The span of one read, µs."""
 
 
 class Cell(NamedTuple):
-    """One value, and the decimals with which it is written (None: as many as it has)."""
+    """A value, and the decimals with which it is written (None: as many as it has)."""
 
     value: float
     decimals: int | None
@@ -223,7 +223,7 @@ class Cell(NamedTuple):
 
 class ExportRow(NamedTuple):
     """A row: an instant (µs), a cell for each column (None: no reading then), a note. ``ends``: the columns
-    whose units have no readings from here on."""
+    whose units have no readings after it."""
 
     at: int
     cells: tuple[Cell | None, ...]
@@ -234,7 +234,7 @@ class ExportRow(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Table:
     """The columns of an export, and its resolution. ``carries``: whether a value that was steady from before
-    the start on has a row at the start, even if the unit did not respond then."""
+    the start has a row at the start, even if the unit did not respond then."""
 
     queries: Sequence[SeriesQuery]
     fineness: Resolution
@@ -335,7 +335,7 @@ def _reading_rows(
 ) -> Iterator[ExportRow]:
     first = wanted[0][1]
     unit = (first.bus.name, first.unit)
-    # A run is within a minute: one that began before the first piece may go on in it, and before no other.
+    # A run lies within a minute: one that began before the first piece may continue in that piece only.
     found = runs_between(source, first.start - MINUTE, first.end)
     runs = [run for run in found if run.until >= first.start]
     places, nothing = tuple(place for place, _ in wanted), (None,) * width
@@ -359,7 +359,7 @@ def _reading_rows(
             yield ExportRow(min(run.until, first.end - 1) if carries else run.until, tuple(cells))
     last_until[unit] = runs[-1].until
     if carries and min(first.end, micros(unix_now())) - runs[-1].until > long_gap(usual_interval(runs)):
-        # It has not come back: nothing is known of it until it does.
+        # The unit has not come back: nothing is known of it until it does.
         yield ExportRow(runs[-1].until + 1, nothing, ends=places)
 
 
@@ -413,7 +413,7 @@ def _together(rows: Sequence[ExportRow]) -> list[ExportRow]:
 
 STEPS = (SECOND, 5 * SECOND, 15 * SECOND, MINUTE)
 MAX_ROWS = 100_000
-"""The rows from which on a longer step is used; the longest step takes any number."""
+"""The number of rows from which on a longer step is used; the longest step takes any number."""
 
 
 def step_of(start: int, end: int) -> int:
@@ -431,7 +431,7 @@ class Together:
         self._next: int | None = None
 
     def rows(self, rows: Iterable[ExportRow]) -> Iterator[ExportRow]:
-        """Yield the rows at each step up to the last of these."""
+        """Yield the rows at each step up to the last of ``rows``."""
         for row in rows:
             yield from self._until(row.at)
             if self._next is None:

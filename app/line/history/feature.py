@@ -1,5 +1,5 @@
-"""The trends page, and its saved views, of one person or shared with all. The address of the page holds what
-it shows, so that a link reopens the same view."""
+"""The trends page, and its saved views, of one person or shared with all. The address of the page holds its
+content, so that a link reopens the same view."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ _COLUMNS = "id, sender, owner, name, query, shared"
 
 @dataclass(frozen=True, slots=True)
 class TrendView:
-    """A saved view. ``query``: the address of the page without its path; ``sender``: the account that it
-    belongs to, and ``owner`` its name."""
+    """A saved view. ``query``: the address of the page without its path; ``sender``: the account that owns
+    it, and ``owner`` its name."""
 
     id: int
     sender: str
@@ -79,7 +79,7 @@ class TrendViews:
         return sorted(found, key=lambda view: (view.sender != person.sender, view.name.casefold()))
 
     async def save(self, person: Person, events: EventLog, name: str, query: str, *, shared: bool) -> str:
-        """Save a view, and return its address. Raises Problem 403 for one to share, 409 and 422."""
+        """Save a view, and return its address. Raises Problem 403 if it may not be shared, 409 and 422."""
         if shared:
             SHARE.check(person)
         name, address = name.strip(), clean(query)
@@ -161,7 +161,7 @@ SavedViews = Annotated[TrendViews, service(TrendViews)]
 
 @router.get("/trends")
 async def trends(request: Request, person: Viewer, history: HistoryOf, views: SavedViews) -> Response:
-    """Show any values of any units over any span; the browser draws what its address names."""
+    """Show any values of any units over any span; the browser draws what the address names."""
     templates = templates_of(request)
     language = templates.language_of(request)
     return render(
@@ -193,7 +193,7 @@ async def save_view(
     query: Annotated[OneLine, Form(max_length=MAX_QUERY)] = "",
     shared: Annotated[bool, Form()] = False,
 ) -> Response:
-    """Save what is shown under a name; an operator may share it with everyone."""
+    """Save the view of the page under a name; an operator may share it with everyone."""
     address = await views.save(person, events, name, query, shared=shared)
     return RedirectResponse(f"/trends?{address}#trend-save", SEE_OTHER)
 
@@ -232,14 +232,14 @@ def usual_series(history: History) -> list[str]:
 
 
 AFTER_S = 1.0
-"""The time after the start, which needs the machine; a person takes longer to find the page."""
+"""The seconds after the start, which needs the machine; a person takes longer to find the page."""
 POINTS = 1000
 _SHELL = ("base.html", "components/", "trends/")
 
 
 async def warm(history: History, templates: Templates, assets: Assets, language: str) -> None:
     """Read the catalog of the site's language, compile the others, compress static files, load the templates
-    of the trends page, and query a day of history: one after the other, to keep the line responsive."""
+    of the trends page, and query a day of history: one after the other, so that the line stays responsive."""
     await asyncio.sleep(AFTER_S)
     await asyncio.to_thread(templates.languages[language].read)
     for each in templates.languages:

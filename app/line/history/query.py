@@ -88,8 +88,8 @@ class QueryResult:
 
 
 def stored_queries(query: SeriesQuery) -> list[SeriesQuery]:
-    """Return the queries of the stored values that a value is made of: a draw of the actual speeds of the
-    unit before and of the unit, any other value of itself."""
+    """Return the queries of the stored values that a value is made of: for a draw the actual speeds of the
+    unit before and of the unit, for any other value itself."""
     if query.value.kind != "draw":
         return [query]
     units = query.bus.seams[query.unit].before, query.unit
@@ -109,7 +109,7 @@ def run_query(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery
 
 
 def _run_draw(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery) -> QueryResult:
-    """Make a draw of two speeds, each in half of the points, as they may be at different times."""
+    """Make a draw of two speeds, each in half of the points, because they may be at different times."""
     half = replace(query, most=max(1, query.most // 2))
     before, section = (run_query(connection, tail, each) for each in stored_queries(half))
     coarser = max(before, section, key=lambda each: each.bucket)
@@ -164,10 +164,10 @@ def has_raw(connection: tables.StoreConnection, unit: int, start: int) -> bool:
 
 T = TypeVar("T")
 Unpacking = Callable[[bytes, int], list[T]]
-"""A function that returns the content of a block, of its bytes and its start (µs). Raises ValueError if it is
-damaged."""
+"""A function that returns the content of a block, from its bytes and its start (µs). Raises ValueError if it
+is damaged."""
 RawRow = tuple[int, int, int, int]
-"""The at, until, readings and one raw value of a run."""
+"""The begin, the end, the number of readings and one raw value of a run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +181,7 @@ class StoredUnit:
     unit: int
     tail: Sequence[Run]
     damaged: list[BlockKey] = field(default_factory=list)
-    """Blocks that could not be read and were left out."""
+    """The blocks that could not be read and were left out."""
 
     def blocks(
         self, tier: StoredTier, start: int, end: int, unpack: Unpacking[T]
@@ -230,14 +230,14 @@ class StoredUnit:
 def stored_unit(
     connection: tables.StoreConnection, tail: Tail, bus: str, number: int, start: int, end: int
 ) -> StoredUnit | None:
-    """Return the sources of a unit over a span, µs; None for a unit without history. To be called before a
-    snapshot."""
+    """Return the sources of a unit over a span, µs; None for a unit without history. Call this before the
+    transaction that reads begins."""
     key = tables.find_unit(connection, bus, number)
     return None if key is None else StoredUnit(connection, key, tail.runs(key, start, end))
 
 
 def estimate(source: StoredUnit, start: int, end: int) -> int:
-    """Estimate how many points the single readings would be."""
+    """Estimate how many points the single readings would make."""
     rows = source.connection.execute(
         "SELECT start, span, points FROM raw WHERE unit = ? AND start > ? AND start < ?",
         (source.unit, start - HOUR, end),
@@ -320,7 +320,7 @@ def minutes_of(source: StoredUnit, start: int, end: int) -> list[Rollup]:
 
 
 def speed_minutes(source: StoredUnit, start: int, end: int) -> list[SpeedMinute]:
-    """Return what the minutes of a span, µs, show of the speed, in order of time."""
+    """Return the part of each minute of a span, µs, that shows the speed, in order of time."""
     wanted = [FIELDS[name] for name in SpeedMinute._fields]
     since = start - start % MINUTE
     found: dict[int, SpeedMinute] = {}
@@ -346,7 +346,7 @@ def _unpacked(source: StoredUnit, since: int, end: int, step: int) -> list[Rollu
 
 
 def _without(newer: Container[int], begin: int, table: Sequence[list[int]]) -> list[list[int]]:
-    """Return a block of rollups without those of which there are newer ones."""
+    """Return a block of rollups without those that have newer ones."""
     kept = [begin + start not in newer for start in table[0]]
     return [list(compress(column, kept)) for column in table] if not all(kept) else list(table)
 
@@ -389,7 +389,7 @@ def bit_points(source: StoredUnit, bit: int, start: int, end: int, marks: Marks)
 
 
 def usual_of(source: StoredUnit, end: int) -> int:
-    """Return the usual interval between responses before a time, µs, also if its readings are gone."""
+    """Return the usual interval between responses before a time, µs, even if its readings are gone."""
     if source.tail:
         return usual_interval(source.tail)
     if runs := source.newest("raw", end, partial(unpack_columns, names=("at", "until", "readings"))):

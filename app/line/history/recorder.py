@@ -78,8 +78,8 @@ def _by_time(key: tuple[int, int]) -> tuple[int, int]:
 
 
 class Tail:
-    """Runs by unit and minute, in order of arrival. Their fields stand one after the other in an array, as
-    the garbage collector would visit half a million tuples every few seconds."""
+    """Runs by unit and minute, in order of arrival. Their fields stand one after the other in an array,
+    because the garbage collector would visit half a million tuples every few seconds."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -99,7 +99,7 @@ class Tail:
         if runs is None:
             self._minutes[key] = array("q", run)
             return
-        # The actual speed first: it differs most often.
+        # The actual speed goes first, because it differs most often.
         if runs[_ACTUAL] == run[_ACTUAL]:
             last = _last(runs)
             if follows(run, last) and not self._broken(unit, last[1], run[0]):
@@ -122,7 +122,7 @@ class Tail:
                 insort(self._lost.setdefault(unit, []), at)
 
     def interrupt(self) -> None:
-        """Let the next reading of every unit begin a new run, as nothing was recorded until now."""
+        """Let the next reading of every unit begin a new run, because nothing was recorded until now."""
         self.mark_lost({(unit, run[1] + 1) for unit, run in self.everything()})
 
     def runs(self, unit: int, start: int, end: int) -> list[Run]:
@@ -138,7 +138,7 @@ class Tail:
 
     def since(self, after: int) -> dict[int, list[PlainRun]]:
         """Return the last runs of each unit that reach a time, µs, in order of arrival, at the cost of these
-        runs."""
+        runs only."""
         found: dict[int, list[PlainRun]] = {}
         with self._lock:
             for (unit, minute), runs in self._minutes.items():
@@ -160,7 +160,7 @@ class Tail:
             return len(self._minutes.get((unit, minute), ())) // WIDTH
 
     def over(self, current: int) -> list[tuple[int, int]]:
-        """Return the units and minutes except the current one, which is still growing, the oldest first."""
+        """Return units and minutes except the current minute, which is still growing, the oldest first."""
         with self._lock:
             return sorted((key for key in self._minutes if key[1] != current), key=_by_time)
 
@@ -299,14 +299,14 @@ class Intake:
         key = self.key(connection, bus, update.unit)
         step = ParameterStep(micros(update.at), update.number, update.raw)
         known = [each for each in tables.parameter_steps(connection, key) if each.number == step.number]
-        # Before its first value, that one counts.
+        # Before its first value, that value counts.
         in_force = next((each for each in reversed(known) if each.at <= step.at), known[0] if known else None)
         if in_force is None or in_force.raw != step.raw:
             tables.write_parameter(connection, key, step)
 
 
 GRACE = 2 * SECOND
-"""The time after a minute, µs, in which its last readings are awaited."""
+"""The time after a minute, µs, for which its last readings are awaited."""
 
 
 class Recorder:
@@ -361,7 +361,7 @@ class Recorder:
             self._fold_some(next_to_fold(self._folding, self._tail))
 
     def fold_everything(self, deadline: Monotonic = Monotonic(math.inf)) -> None:
-        """Fold all minutes, also the current one, until ``deadline`` (monotonic seconds); the journal holds
+        """Fold all minutes, even the current one, until ``deadline`` (monotonic seconds); the journal holds
         the rest."""
         self._folding = deque(self._tail.over(current=-1))
         while self._folding and monotonic_now() < deadline:
@@ -373,13 +373,13 @@ class Recorder:
         def write(connection: tables.StoreConnection) -> None:
             fold_minutes(connection, self._tail, keys)
             if is_last:
-                # The rest, which is in no block yet, is written again.
+                # The remaining readings, which are in no block yet, are written again.
                 tables.write_journal_again(connection, self._tail.everything(without=done))
 
         try:
             self._database.write_now(write)
         except DamagedBlock as found:
-            # It costs itself: these minutes are folded in the next turn, without it.
+            # The fault is its own: these minutes are folded in the next turn, without it.
             set_aside(self._database, found.block, self._on_damage)
             return
         for key in keys:
@@ -440,9 +440,9 @@ def _missing(
 
 
 MAX_AT_ONCE = 10_000
-"""Runs that one transaction folds, in about 50 ms, so that a slow machine still commits in time."""
+"""The most runs that one transaction folds, in about 50 ms, so that a slow machine still commits in time."""
 MAX_KEYS = 64
-"""Minutes of units that one transaction folds, each with a block and its bits."""
+"""The most minutes of units that one transaction folds, each with a block and its bits."""
 Minute = tuple[int, int]
 """The key of a unit and when the minute begins, µs."""
 _Runs = Mapping[int, Sequence[PlainRun]]

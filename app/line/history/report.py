@@ -1,5 +1,5 @@
-"""The report on what the units of a bus did over a span: of hours that are over from figures that are worked
-out once and stored, of the rest from minutes, and from readings where a unit started or stopped."""
+"""The report of the units of a bus over a span: for hours that are over from figures that are computed once
+and stored, for the rest from minutes, and from readings if a unit started or stopped."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ from app.line.history.series.values import (
 from bus.settings import BusSettings
 
 MAX_REPORT_READINGS = 200_000
-"""With more readings in unsteady minutes that are to be read a report uses averages for them."""
+"""The readings in unsteady minutes above which a report uses averages for them."""
 MAX_READINGS_OF_UNIT = 40_000
 """Two hours of readings at 9600 baud on a bus of eight, and so some fifty starts and stops."""
 _SAMPLE = 500
 """Readings that show the usual interval between them."""
 ENOUGH = 0.92
-"""A minute with a smaller part of the readings of the fullest one may have half of a hole in it."""
+"""A minute with a smaller part of the readings of the fullest one may contain half of a hole."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ _SEAL_BYTES = 4
 _Part = tuple[int, tuple[int, int]]
 """A unit and a part of the span, µs."""
 _FORMAT = 1
-"""Raised with every change of what figures are, so that stored ones are worked out anew."""
+"""Increased with every change of the meaning of figures, so that stored ones are computed anew."""
 
 
 def _seal(data: bytes, basis: int) -> bytes:
@@ -83,12 +83,13 @@ def _seal(data: bytes, basis: int) -> bytes:
 
 
 def is_sealed(packed: bytes, basis: int) -> bool:
-    """Return whether packed figures are as they were stored, and of this basis."""
+    """Return whether packed figures are as they were stored, and from this basis."""
     return _seal(packed[_SEAL_BYTES:], basis) == packed[:_SEAL_BYTES]
 
 
 def basis_of(connection: tables.StoreConnection, bus: BusSettings, unit: int) -> int:
-    """Return a checksum of what the figures of a unit follow from beside readings: settings and scales."""
+    """Return a checksum of everything besides readings that determines a unit's figures: settings and
+    scales."""
     units = [each for each in (unit_before(bus, unit), unit) if each is not None]
     keys = [tables.find_unit(connection, bus.name, each) for each in units]
     steps = [tables.parameter_steps(connection, key) for key in keys if key is not None]
@@ -113,8 +114,8 @@ def work_out(connection: tables.StoreConnection, bus: BusSettings, unit: int, ho
 
 
 class BusReport:
-    """The figures of the units of a bus, or ``only`` one of them, over a span, µs. Each unit is read by
-    itself, so that no read takes long."""
+    """The figures of the units of a bus, or ``only`` one of them, over a span, µs. Each unit is read on its
+    own, so that no read takes long."""
 
     def __init__(
         self,
@@ -132,11 +133,11 @@ class BusReport:
         """The readings that may still be read of a unit."""
         self._speeds: dict[_Part, list[SpeedStretch]] = {}
         self._former: dict[_Part, list[SpeedStretch]] = {}
-        """The speeds in each part that was read of the unit, and of the one that was read before it."""
+        """The speeds in each part that was read of the unit, and of the unit that was read before it."""
 
     def read(self, connection: tables.StoreConnection, tail: Tail, unit: int) -> UnitReport:
-        """Read the next of :attr:`units`: the hours that are worked out, and the rest from minutes, and where
-        it started or stopped from readings if they are not too many and still stored."""
+        """Read the next of :attr:`units`: from stored figures of hours, else from minutes, and if it started
+        or stopped from readings, unless these are too many or no longer stored."""
         self._former, self._speeds, self._left = self._speeds, {}, self._max_readings
         scale = self._scale(connection, unit)
         if scale is None:
@@ -173,7 +174,7 @@ class BusReport:
     def figures(
         self, connection: tables.StoreConnection, tail: Tail, unit: int, span: tuple[int, int]
     ) -> PartFigures:
-        """Work out the figures of a part of the span."""
+        """Compute the figures of a part of the span."""
         runs, speeds = self._read(connection, tail, unit, span)
         self._speeds[unit, span] = speeds
         before = unit_before(self._bus, unit)
@@ -207,7 +208,7 @@ class BusReport:
 
 
 class _Minutes:
-    """The minutes of a unit, in order of time. Most are steady, and are counted by their averages; the
+    """The minutes of a unit, in order of time. Most are steady and counted by their averages; the
     :attr:`unsteady` ones, in which it started or stopped, or which ``changes`` or a hole cut, by their
     readings."""
 
@@ -269,7 +270,7 @@ class _Minutes:
 
 class _Readings:
     """The readings of a unit within a span, µs, read part by part in order of time. The blocks of the last
-    part stay unpacked, as those of an hour have many parts."""
+    part stay unpacked, because an hour has many parts."""
 
     def __init__(self, source: StoredUnit, span: tuple[int, int]) -> None:
         self._source = source

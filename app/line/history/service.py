@@ -1,4 +1,4 @@
-"""History as the rest of the app uses it: it takes in readings and returns results of queries."""
+"""History as the rest of the app uses it: it stores readings and returns results of queries."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class History:
         self._fault_subscribers.append(subscriber)
 
     def _publish_fault(self, kind: EventKind, what: Message) -> None:
-        """Tell the subscribers on the event loop of a fault that the writer's thread has met."""
+        """Tell the subscribers, on the event loop, of a fault that the writer's thread has met."""
         for subscriber in self._fault_subscribers:
             self._loop.call_soon_threadsafe(subscriber, kind, what, unix_now())
 
@@ -71,11 +71,11 @@ class History:
         self._writer.start()
 
     def close(self) -> None:
-        """Write what was taken in to the disk, then close the store."""
+        """Write what was appended to the disk, then close the store."""
         self._writer.close()
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
-        """Take in updates of a worker, without waiting."""
+        """Queue updates of a worker for storing, without waiting."""
         self._writer.enqueue((bus, updates))
 
     @property
@@ -111,7 +111,7 @@ class History:
         self._writer.report(damaged)
 
     async def read(self, work: Callable[[tables.StoreConnection, Tail], T], *, costly: bool = False) -> T:
-        """Run ``work`` with a read-only connection and the tail, in a thread; a ``costly`` one has threads of
+        """Run ``work`` with a read-only connection and the tail, in a thread; ``costly`` work has threads of
         its own. Raises StoreError."""
         tail, database = self._writer.tail, self._writer.database
         try:
@@ -127,7 +127,7 @@ def seconds(at: int) -> UnixTime:
 
 
 MAX_SPANS = 50_000
-"""Bits that change more often over a span are not read."""
+"""The most spans of bits over a time; if they change more often they are not read."""
 StatusSpan = tuple[UnixTime, UnixTime, int]
 
 

@@ -1,4 +1,4 @@
-"""The state of the history, for pages and the API, and for how long the disk suffices."""
+"""The state of the history, for pages and the API, and how long the disk suffices."""
 
 from __future__ import annotations
 

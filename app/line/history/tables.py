@@ -46,7 +46,7 @@ class BlockKey:
 
 
 class DamagedBlock(ValueError):
-    """The content of a block is not what was written."""
+    """Raised when the content of a block is not what was written."""
 
     def __init__(self, block: BlockKey, why: str) -> None:
         super().__init__(f"{why} ({block.tier} of unit key {block.unit} from {block.start})")
@@ -122,7 +122,7 @@ def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, PlainRu
 
 
 def write_journal_again(connection: StoreConnection, rows: Sequence[tuple[int, PlainRun]]) -> None:
-    """Replace the journal."""
+    """Replace the journal by these readings or runs."""
     connection.execute("DELETE FROM journal")
     if rows:
         write_journal(connection, rows)
@@ -186,7 +186,7 @@ def figures_between(
 
 
 def packed_units(connection: StoreConnection, bus: str, hour: int) -> dict[int, bytes | None]:
-    """Return the units of a bus of which an hour is packed, each with its figures, if they are stored."""
+    """Return the units of a bus that have a packed hour, each with its figures, if they are stored."""
     rows = connection.execute(
         "SELECT number, figures.data FROM unit JOIN minutes ON minutes.unit = unit.id AND minutes.start = ?"
         " LEFT JOIN figures ON figures.unit = unit.id AND figures.start = minutes.start WHERE bus = ?",
@@ -199,7 +199,7 @@ def write_raw(
     connection: StoreConnection, unit: int, start: int, span: int, table: Sequence[Sequence[int]]
 ) -> None:
     """Write a block of the columns of runs in place of all blocks in its span. It keeps the newest of their
-    ids, as a reader who has read them has read it."""
+    ids, because a reader who has read them has read it."""
     within = "FROM raw WHERE unit = ? AND start >= ? AND start < ?"
     place = (unit, start, start + span)
     [newest] = connection.execute(f"SELECT max(id) {within}", place).fetchone()
@@ -209,7 +209,7 @@ def write_raw(
 
 
 def new_raw_ids(connection: StoreConnection, count: int) -> range:
-    """Return ids for blocks that change. Ids only rise, also from one store to the one that replaces it, so
+    """Return ids for blocks that change. Ids only rise, even from one store to the one that replaces it, so
     that a reader that has seen the blocks up to an id finds everything that changed since behind it."""
     [last] = connection.execute(_RESERVE_IDS, {"count": count}).fetchone()
     return range(last - count + 1, last + 1)
@@ -368,7 +368,7 @@ def write_link(connection: StoreConnection, unit: int, at: int, state: str, caus
 
 
 _MARKED = "unit JOIN unit AS marked ON unit.bus = marked.bus AND marked.number IN (0, unit.number)"
-"""SQL: each unit with itself and with its port, whose marks are also those of its units."""
+"""A piece of SQL: each unit with itself and with its port, whose marks also count for its units."""
 
 
 def link_marks(connection: StoreConnection, spans: Mapping[int, tuple[int, int]]) -> dict[int, Marks]:
@@ -389,7 +389,7 @@ def link_marks(connection: StoreConnection, spans: Mapping[int, tuple[int, int]]
 
 
 def marks_since(connection: StoreConnection, start: int) -> list[tuple[int, int]]:
-    """Return the units that were lost or found from a time on, by themselves or with their port, and when;
+    """Return the units that were lost or found from a time on, on their own or with their port, and when, in
     µs."""
     query = f"SELECT unit.id, at FROM {_MARKED} JOIN link ON link.unit = marked.id WHERE at >= ?"
     return [(row[0], row[1]) for row in connection.execute(query, (start,))]
@@ -398,8 +398,8 @@ def marks_since(connection: StoreConnection, start: int) -> list[tuple[int, int]
 def lost_between(
     connection: StoreConnection, start: int, end: int, unit: int | None = None
 ) -> list[tuple[int, int, str]]:
-    """Return when, within a span, µs, units or their ports were lost, and the states that they came into; of
-    one unit, or of all."""
+    """Return when units or their ports were lost within a span, µs, and the states that they came into; for
+    one unit, or for all."""
     states = ", ".join("?" * len(LOST_STATES))
     query = (
         f"SELECT unit.id, link.at, link.state FROM {_MARKED} JOIN link ON link.unit = marked.id"
@@ -433,6 +433,6 @@ def write_raw_from(connection: StoreConnection, at: int) -> None:
 
 
 def correct_raw_from(connection: StoreConnection, now: int) -> None:
-    """Undo giving up readings until a time in the future, which a wrong clock has left; ``now`` in µs."""
+    """Undo giving up readings until a time in the future, which a wrong clock has caused; ``now`` in µs."""
     at = raw_from(connection)
     write_raw_from(connection, 0 if at > now else at)

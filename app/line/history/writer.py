@@ -40,20 +40,20 @@ from bus.messages import Message, in_english, number
 from bus.settings import BusSettings
 
 COMMIT_EVERY_S = 0.5
-"""A power failure loses the readings of this time, and of the commit itself."""
+"""The seconds between commits: a power failure loses the readings of this time, and of the commit."""
 BUSY_S = 0.2
-"""The time that folding, and then upkeep, may take between two commits."""
+"""The seconds that folding, and then upkeep, may take between two commits."""
 END_S = 1.0
-"""The time that folding may take at the end; the rest stays in the journal."""
+"""The seconds that folding may take at the end; the rest stays in the journal."""
 RETRY_S = 10.0
 LOOK_EVERY_S = 5.0
 GIVE_UP_EVERY_S = 600.0
 MAX_WAITING = 500_000
-"""Updates that are kept in memory while the store cannot be written; beyond them the oldest are lost."""
+"""The most updates kept in memory while the store cannot be written; then the oldest are lost."""
 
 MAX_REPORTED = 1000
 REPLACE_EVERY_S = 86_400.0
-"""A store that is damaged again within this time is not replaced: the machine is at fault."""
+"""A store that is damaged again within so many seconds is not replaced: the machine is at fault."""
 SHOWN_FOR = 7 * DAY
 """How long damage is shown on the pages, µs; its event stays."""
 
@@ -64,24 +64,25 @@ OnFault = Callable[[EventKind, Message], None]
 
 
 SETTLED_S = 3600.0
-"""How long after a start or a clock step nothing is given up for its age: the clock may be wrong."""
+"""The seconds after a start or a clock step in which nothing is given up for its age, since the clock may be
+wrong."""
 LATE = 10 * MINUTE
 """How long workers buffer while the app is away, µs: an hour that ended longer ago is complete."""
 MAX_DROPPED = 50
-"""Blocks that one transaction deletes."""
+"""The most blocks that one transaction deletes."""
 MAX_PAGES = 2000
-"""Pages that are given back to the disk at a time."""
+"""The most pages that are given back to the disk at a time."""
 FIGURES_S = 0.02
-"""The time that figures of hours may take between two commits; those of one unit and hour may take longer."""
+"""The seconds for figures of hours between two commits; those of one unit and hour may take longer."""
 FIGURES_EVERY_S = 120.0
-"""The time after the start, and between two searches for hours that have no figures."""
+"""The seconds after the start, and between two searches for hours that have no figures."""
 LOOK_BACK = 92 * DAY
 """How far the first search goes back, µs: the longest report."""
 
 
 class Upkeep:
-    """The upkeep between two commits, for a short time each: it packs hours, works out their figures and
-    gives up old readings."""
+    """The upkeep between two commits, for a short time each: it packs hours, computes their figures and gives
+    up old readings."""
 
     def __init__(
         self,
@@ -108,7 +109,7 @@ class Upkeep:
         self._database.write_now(lambda c: tables.correct_raw_from(c, now))
 
     def look(self) -> tuple[int, StoreState]:
-        """Return the free bytes on the disk of the store, and what they mean."""
+        """Return the free bytes on the disk of the store, and the state that follows."""
         free = free_bytes(self._database.path.parent)
         return free, space(free, self._reserve)
 
@@ -143,7 +144,7 @@ class Upkeep:
         except StoreError:
             raise
         except Exception:
-            # A report reads this hour from its readings; that the others are stored matters more.
+            # A report reads this hour from its readings; storing the others matters more.
             log.exception("figures", bus=bus.name, unit=unit, hour=hour)
 
     def _unworked(self, newest: int) -> Iterator[tuple[BusSettings, int, int] | None]:
@@ -164,7 +165,7 @@ class Upkeep:
         self._search_at = monotonic_now() + FIGURES_EVERY_S
 
     def give_up_old(self, now: int) -> None:
-        """Choose the readings past their retention; :meth:`sweep` then deletes them."""
+        """Mark readings past their retention as given up; :meth:`sweep` then deletes them."""
         if monotonic_now() < self._settled_at:
             return
         horizon = now - self._kept.raw_days * DAY
@@ -196,7 +197,7 @@ class Upkeep:
 
 @dataclass(slots=True)
 class OpenStore:
-    """An open store and what writes into it."""
+    """An open store and its writing parts."""
 
     database: Database
     recorder: Recorder
@@ -204,7 +205,7 @@ class OpenStore:
 
 
 class Writer:
-    """Owner of the store, with its thread. Readers see the ``tail`` beside the store."""
+    """The owner of the store, with its thread. Readers see the ``tail`` beside the store."""
 
     def __init__(
         self,
@@ -261,7 +262,7 @@ class Writer:
             self._waiting -= lost
 
     def report(self, damaged: Iterable[BlockKey]) -> None:
-        """Queue blocks that could not be read to be set aside; any thread may call it."""
+        """Queue unreadable blocks to be set aside; any thread may call this."""
         self._reported.extend(damaged)
 
     @property
@@ -276,7 +277,7 @@ class Writer:
             raise StoreError(self._status.message or NOTICES["failed"])
         return self._open.database
 
-    # From here on: the writer's thread.
+    # The methods from here on run on the writer's thread.
 
     def _run(self) -> None:
         took = 0.0
@@ -287,7 +288,7 @@ class Writer:
         self._guard(self._end)
 
     def _guard(self, work: Callable[[], None]) -> None:
-        """Run ``work``; after a failure go on without the store for a while."""
+        """Run ``work``; after a failure continue without the store for a while."""
         try:
             work()
         except DamagedStoreError as error:
@@ -310,7 +311,7 @@ class Writer:
             self._open_store()
         self._watch_disk()
         if self._space == "paused":
-            # Nothing is written, and what was given up goes back to the disk.
+            # Nothing is written, and the space of deleted readings goes back to the disk.
             assert self._open is not None
             self._open.upkeep.sweep(monotonic_now() + BUSY_S)
         else:
@@ -361,7 +362,7 @@ class Writer:
         database = Database(self._path, MIGRATIONS)
         recorder = Recorder(database, self.tail, self._on_damage)
         try:
-            # The first row shows whether the store can be written.
+            # Writing the first row shows whether the store can be written.
             database.write_now(lambda c: tables.correct_raw_from(c, micros(unix_now())))
             recorder.replay()
             if aside:
@@ -379,7 +380,7 @@ class Writer:
 
     def _put_aside_if_torn(self) -> str:
         """Rename a store with damaged pages, and return its new name; empty if it is intact. A second look
-        decides, since the first may have met a passing error of the memory or of the disk."""
+        decides, because the first may have met a passing error of the memory or of the disk."""
         if not self._is_torn:
             return ""
         self._is_torn, self._replaced_at = False, monotonic_now()

@@ -7,7 +7,8 @@ second later does not dance.
 The figures are how long a unit ran and was at speed, when and why it stood still, how far it went, and its
 draw. It runs while its actual speed is not 0. It is at speed while it runs with a setpoint above 0 and
 reports the bit *at speed* of ST2: its actual speed is within the window of parameter 12 around the commanded
-one. A reading counts until the next one, or until the hole after it, which counts as neither."""
+one. A reading counts until the next one, or until the hole after it, which counts as neither.
+"""
 
 from __future__ import annotations
 
@@ -156,9 +157,9 @@ class Stop(msgspec.Struct, array_like=True):
 
 
 class RunFigures(msgspec.Struct, array_like=True):
-    """The figures of a unit. ``known``: the time with readings; ``running``: of it the time in which it ran;
-    ``at_speed``: of that the time at speed, all µs; ``travel``: speed times µs; ``fastest``: the greatest
-    speed; ``by_minute``: whether a minute in which the unit started or stopped is in it by its averages;
+    """The figures of a unit. ``known``: the time with readings; ``running``: the part of it in which it ran;
+    ``at_speed``: the part of that at speed, all µs; ``travel``: speed times µs; ``fastest``: the greatest
+    speed; ``by_minute``: whether a minute in which the unit started or stopped counts by its averages;
     ``began_stopped`` and ``ended_stopped``: whether it stood in the first and in the last reading."""
 
     known: int = 0
@@ -173,7 +174,7 @@ class RunFigures(msgspec.Struct, array_like=True):
 
 
 class RunStretch(NamedTuple):
-    """What a unit did from one time until another, µs, as raw values; ``actual`` is the average of the
+    """The motion of a unit from one time until another, µs, in raw values; ``actual`` is the average of the
     time."""
 
     at: int
@@ -204,16 +205,16 @@ class SpeedMinute(NamedTuple):
 
     @property
     def is_steady(self) -> bool:
-        """Whether every reading of it is a run at speed, or a run off speed, or a standstill with the same
-        bits."""
+        """Whether all readings of the minute are runs at speed, or runs off speed, or a standstill with the
+        same bits."""
         if self.actual_min <= 0 <= self.actual_max:
             return self.actual_min == self.actual_max and self.word_and == self.word_or
         is_commanded = self.commanded_min > 0 or self.commanded_max <= 0
         return is_commanded and not (self.word_and ^ self.word_or) & _AT_SPEED
 
     def stretch(self) -> RunStretch:
-        """Return it by its average: a unit that moved at all ran, and one that was at speed in every reading
-        was at speed."""
+        """Return the minute by its averages: a unit that moved at all ran, and one that was at speed in every
+        reading was at speed."""
         average = self.actual_sum / self.readings
         until = self.start + MINUTE
         return RunStretch(self.start, until, self.commanded_min, average, self.actual_max, self.word_and)
@@ -224,8 +225,8 @@ def _is_at_speed(run: Run | RunStretch) -> bool:
 
 
 def run_figures(stretches: Sequence[RunStretch], estop_healthy: int, scales: Scaling) -> RunFigures:
-    """Count the figures of a unit from its stretches in order of time, none of which has a change of scale in
-    it."""
+    """Count the figures of a unit from its stretches in order of time, none of which contains a change of
+    scale."""
     figures = RunFigures()
     stop: Stop | None = None
     for i, j, scale in scales.stretches([each.at for each in stretches]):
@@ -250,8 +251,8 @@ def run_figures(stretches: Sequence[RunStretch], estop_healthy: int, scales: Sca
 
 
 def joined(parts: Iterable[RunFigures]) -> RunFigures:
-    """Join the figures of spans in order of time. A stop at the end of one goes on at the beginning of the
-    next one that was read."""
+    """Join the figures of spans in order of time. A stop at the end of one continues at the beginning of the
+    next one with readings."""
     whole = RunFigures()
     for part in parts:
         whole.by_minute |= part.by_minute
@@ -290,10 +291,10 @@ def runs_of_minutes(minutes: Iterable[Rollup]) -> list[Run]:
 def stretches(
     table: Sequence[Sequence[int]], span: tuple[int, int], marks: Marks, usual: int, cuts: Sequence[int] = ()
 ) -> list[RunStretch]:
-    """Return what a unit did within a span, µs, from the columns of its runs (:class:`Run`), each of which
-    counts up to the next one or to the hole after it. Runs outside of the span show how long those at its
-    ends count. Neighbors are one stretch while the unit goes on to stand, to run or to be at speed, but for
-    the end of a minute and ``cuts`` between them."""
+    """Return the stretches of a unit within a span, µs, from the columns of its runs (:class:`Run`), each of
+    which counts up to the next one or to the hole after it. Runs outside of the span show how long those at
+    its ends count. Neighbors are one stretch while the unit goes on standing, running or being at speed,
+    unless the end of a minute or one of ``cuts`` is between them."""
     at, until, _, commanded, actual, _, words = table
     ends = _ends(at, until, marks, usual)
     within = slice(bisect_right(ends, span[0]), bisect_left(at, span[1]))
@@ -330,8 +331,8 @@ def _ends(at: Sequence[int], until: Sequence[int], marks: Marks, usual: int) -> 
 
 
 def minute_figures(runs: Sequence[Run], marks: Marks, scales: Scaling) -> dict[int, RunFigures]:
-    """Return the figures of each minute by its beginning, µs, without stops and the greatest speed. What
-    lasts over the end of a minute is divided."""
+    """Return the figures of each minute by its beginning, µs, without stops and the greatest speed. A run
+    over the end of a minute is divided."""
     lasting: defaultdict[tuple[int, int, int, bool], int] = defaultdict(int)
     since = scales.since
     ends = _ends([run.at for run in runs], [run.until for run in runs], marks, usual_interval(runs))
@@ -393,8 +394,8 @@ class PassedWeb(NamedTuple):
 
 
 def passed_web(before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]) -> PassedWeb | None:
-    """Return what passed a section and the one before over the time in which both run; None if they never
-    do so at the same time. Both are in order of time."""
+    """Return the web that passed a section and the one before while both ran; None if they never ran at the
+    same time. Both are in order of time."""
     minutes: dict[int, tuple[float, float]] = {}
     for at, until, speed_before, speed in _together(before, section):
         passed, went = minutes.get(at // MINUTE, (0.0, 0.0))
@@ -408,7 +409,7 @@ def passed_web(before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]) 
 
 
 def draw_figures(parts: Iterable[PassedWeb | None]) -> DrawFigures | None:
-    """Return the draw over spans of which none divides a minute; None if nothing passed."""
+    """Return the draw over spans, none of which divides a minute; None if nothing passed."""
     read = [part for part in parts if part is not None]
     if not read:
         return None
@@ -423,7 +424,7 @@ def _together(
     i = j = 0
     while i < len(before) and j < len(section):
         one, other = before[i], section[j]
-        if one[:2] == other[:2]:  # as most are: complete minutes
+        if one[:2] == other[:2]:  # as is usual: complete minutes
             yield one.at, one.until, one.speed, other.speed
             i, j = i + 1, j + 1
             continue
@@ -447,8 +448,8 @@ def draw_series(before: Series, section: Series, width: int) -> Series:
 
 
 def _held(series: Series, width: int) -> Callable[[int], float | None]:
-    """Return a function of the speed at a time: that of the last point, which holds until the next one or,
-    after the last point, as long as a hole may be."""
+    """Return a function that returns the speed at a time: that of the last point, which holds until the next
+    one or, after the last point, as long as a hole may be."""
     times, speeds = series.at, series.average
 
     def at(time: int) -> float | None:

@@ -31,12 +31,12 @@ from bus.contract import Reading
 from bus.instants import UnixTime
 
 _HEAD = struct.Struct("<IB")
-"""Rows, then columns; one type code per column follows, then the planes."""
+"""The head of a block: rows, then columns. One type code per column follows, then the planes."""
 _CODES = "bhiq"
 _SIZES = {code: array(code).itemsize for code in _CODES}
 _LIMITS = {code: 1 << (8 * size - 1) for code, size in _SIZES.items()}
 LEVEL = 6
-"""The level of zlib: 9 wins less than 2 % and takes three times as long."""
+"""The level of zlib: 9 saves less than 2 % and takes three times as long."""
 
 
 def pack_integers(columns: Sequence[Sequence[int]], level: int = LEVEL) -> bytes:
@@ -54,9 +54,9 @@ def pack_integers(columns: Sequence[Sequence[int]], level: int = LEVEL) -> bytes
 def unpack_integers(
     blob: bytes, wanted: Iterable[int] | None = None, within: tuple[int, int] | None = None
 ) -> list[list[int]]:
-    """Return all columns, or the ``wanted`` ones by position; only the rows whose value in the first column,
-    which then has to rise, is at least the first of ``within`` and below the second. Raises ValueError for
-    damaged bytes."""
+    """Return all columns, or the ``wanted`` ones by position. ``within``: only the rows whose value in the
+    first column, which then has to rise, is at least the first number and below the second. Raises ValueError
+    for damaged bytes."""
     try:
         data = zlib.decompress(blob)
         rows, count = _HEAD.unpack_from(data)
@@ -168,7 +168,7 @@ def plain_run(reading: Reading) -> PlainRun:
 
 
 def runs_of(plain: Iterable[PlainRun]) -> list[Run]:
-    """Give plain runs their names."""
+    """Return plain runs with named fields."""
     return list(map(_named, plain))
 
 
@@ -249,11 +249,11 @@ class Rollup(NamedTuple):
     analog_max: int
     analog_sum: int
     word_and: int
-    """Bits that were on in every reading."""
+    """The bits that were on in every reading."""
     word_or: int
-    """Bits that were on in any."""
+    """The bits that were on in any reading."""
     on: tuple[int, ...]
-    """For each bit, in how many readings it was on."""
+    """The number of readings in which each bit was on."""
 
 
 _PLAIN = len(Rollup._fields) - 1
@@ -338,6 +338,6 @@ def unpack_rollups(blob: bytes, start: int) -> list[Rollup]:
 
 
 def replace_rows(rows: Iterable[Rollup], newer: Iterable[Rollup]) -> list[Rollup]:
-    """Replace those of ``rows`` that start with one of ``newer``, and add the others, in order of time."""
+    """Replace rows that start with one of ``newer``, and add the other newer ones, in order of time."""
     by_start = {row.start: row for each in (rows, newer) for row in each}
     return sorted(by_start.values())

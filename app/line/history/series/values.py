@@ -25,9 +25,9 @@ _INPUTS = {
     "down": "down",
     "slave": "follower",
 }
-"""ST1, bit 0 first (manual, READ SPEED AND STATUS)."""
+"""The bits of ST1, bit 0 first (manual, READ SPEED AND STATUS)."""
 _OUTPUTS = {f"output.{n}": "output {n}" for n in range(1, 7)} | {"remote": "remote", "at_speed": "at speed"}
-"""ST2, bit 0 first."""
+"""The bits of ST2, bit 0 first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +182,7 @@ MANY_INTERVALS = 10
 """A gap longer than both is a hole in any case."""
 SHORT_GAP = 3 * SECOND // 10
 FEW_INTERVALS = 3
-"""A gap longer than both is a hole when the unit or port was found again at its end."""
+"""A gap longer than both is a hole if the unit or port was found again at its end."""
 _SAMPLE = 2000
 
 
@@ -196,8 +196,7 @@ class Marks:
 
 def usual_interval(runs: Sequence[Sequence[int]]) -> int:
     """Return the usual interval between responses, µs, from runs (``at``, ``until``, ``readings``, … each), 0
-    if they are too few. Readings within a run count too: a steady value has nothing but holes between its
-    runs."""
+    if they are too few. Readings within a run count too: a steady value has only holes between its runs."""
     sample = runs[:_SAMPLE]
     if not sample:
         return 0
@@ -243,7 +242,7 @@ def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> lis
     found = {i for i, difference in enumerate(differences) if difference > limit}
     lost = {bisect_left(times, mark) - 1 for mark in marks.lost}
     found |= {i for i in lost if 0 <= i < len(differences) and differences[i] > width}
-    # A gap ended before the reading just before the mark, before that of the mark, or before the next.
+    # A gap ends at the reading just before the mark, at that of the mark, or at the next.
     last = [(mark, bisect_right(times, mark) - 1) for mark in marks.found]
     ended = {i - 1 if i >= 0 and mark - times[i] <= usual else i for mark, i in last}
     found |= {i for i in ended if 0 <= i < len(differences) and differences[i] > short}
@@ -251,7 +250,7 @@ def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> lis
 
 
 _PART = itemgetter(*(Run._fields.index(name) for name in ("at", "until", "word")))
-"""Returns the fields of a run that make an interval."""
+"""A function that returns the fields of a run that make an interval."""
 
 
 class Interval(NamedTuple):
@@ -275,7 +274,7 @@ def intervals(parts: Iterable[tuple[int, int, int]], marks: Marks, usual: int = 
 
 def _broken(starts: Sequence[int], reach: Sequence[int], marks: Marks, usual: int) -> set[int]:
     """Return the positions of parts after a hole. ``reach``: the latest end of all parts up to each."""
-    # As a rule there is none, and each minute of each unit passes here.
+    # Usually there is none, and each minute of each unit passes here.
     if not marks.lost and max(map(sub, starts[1:], reach), default=0) <= short_gap(usual):
         return set()
     begins = map(max, starts, (0, *reach))
@@ -284,7 +283,7 @@ def _broken(starts: Sequence[int], reach: Sequence[int], marks: Marks, usual: in
 
 
 def splice(stored: Sequence[Interval], minute: int, runs: Sequence[PlainRun], marks: Marks) -> list[Interval]:
-    """Return what replaces ``stored``, the intervals that touch a minute or are next to it, once all runs of
+    """Return the intervals that replace ``stored``, which touch a minute or are next to it, once all runs of
     the minute are known."""
     after = minute + MINUTE
     around = [part._replace(until=min(part.until, minute - 1)) for part in stored if part.at < minute]
