@@ -1,5 +1,5 @@
-"""The commands over HTTP, and the result of each with its schema. Each responds once its result is known; its
-body is taken strictly, as it is."""
+"""The commands over HTTP, and the result of each with its schema. Each request ends once its result is known;
+its body is parsed strictly."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class FrameShown(TypedDict):
 
 
 class OutcomeMembers(ReasonShown):
-    """What became of a command, or of its part at one unit."""
+    """The outcome of a command, or of its part at one unit."""
 
     outcome: OutcomeShown
     read_back: Annotated[
@@ -114,7 +114,7 @@ class UnitResult(OutcomeMembers):
 
 
 class CommandResult(OutcomeMembers):
-    """The one outcome of a command; where it is about one unit, also that unit's times."""
+    """The one outcome of a command; if it is about one unit, also that unit's times."""
 
     code: Annotated[OutcomeShown, Field(description="As outcome; problems have it too.")]
     id: Annotated[str, Field(description="Of the command: the Idempotency-Key where one was sent.")]
@@ -230,7 +230,7 @@ def _moment(at: UnixTime | None) -> str | None:
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=ApiRoute)
 FIRST_READ_WITHIN_S = 5.0
-"""How long a request for the parameters waits for those that were never read; the reading itself goes on."""
+"""The seconds that a request waits for parameters that were never read; the reading itself goes on."""
 RESULT_RESPONSES: dict[int | str, dict[str, Any]] = {
     200: {"model": CommandResult, "description": "verified or acknowledged"},
     **problems(404, 409, 423, 504),
@@ -247,13 +247,13 @@ UnitInPath = Annotated[UnitLive, Depends(_unit_in_path)]
 
 
 TimeoutS = Annotated[float, Field(ge=0.05, le=30)]
-"""How long a write may wait for the wire, seconds; after that it is dropped."""
+"""How long a write may wait for the wire, in seconds; after that it is dropped."""
 UnitKey = Annotated[str, StringConstraints(pattern=r"^[1-9][0-9]{0,2}$")]
 TypedValue = str | int | float
 
 
 class CommandRequestBody(StrictBody):
-    """What the body of every command may hold."""
+    """The members that the body of every command may have."""
 
     timeout_s: Annotated[
         TimeoutS | None, Field(description="Time that it may wait for the wire, 0.05 to 30 s; else 2 s.")
@@ -280,14 +280,14 @@ class Quantity(StrictBody):
 
     @property
     def typed(self) -> str:
-        """The value as a person would type it; empty when ``raw`` is given."""
+        """The value as a person would type it; empty if ``raw`` is given."""
         if isinstance(self.value, float):
             return f"{Decimal(repr(self.value)).normalize():f}"
         return "" if self.value is None else str(self.value)
 
 
 class SpeedRequest(CommandRequestBody, Quantity):
-    """``execute`` true: 84h, immediately; false: 82h, staged until executed."""
+    """A setpoint. ``execute`` true: 84h, immediately; false: 82h, staged until executed."""
 
     execute: bool = True
 
@@ -297,19 +297,19 @@ class ParameterRequest(CommandRequestBody, Quantity):
 
 
 class OutputRequest(CommandRequestBody):
-    """Requested state of an auxiliary output."""
+    """The requested state of an auxiliary output."""
 
     on: bool
 
 
 class BaudRequest(CommandRequestBody):
-    """The baud rate that every unit of a bus shall have (#18)."""
+    """The new baud rate of every unit of a bus (#18)."""
 
     baud: Annotated[int, Field(description="300, 600, 1200, 2400, 4800 or 9600 bit/s.")]
 
 
 class AnalogOutputRequest(CommandRequestBody):
-    """The value of 88h, #29 to #30."""
+    """A value for the analog output (88h)."""
 
     raw: Annotated[int, Field(description="Integer on the wire, #29 (0 V) to #30 (10 V).")]
 
@@ -334,14 +334,14 @@ class CommandCall:
     frames: bool
 
     def deadline(self, body: CommandRequestBody, staged_units: int = 0, *, typed: bool = False) -> Deadline:
-        """Return the deadline by the body's ``timeout_s``, else the query's, else what such a change may
-        take."""
+        """Return the deadline by the body's ``timeout_s``, else the query's, else the usual time of the
+        change."""
         given = body.timeout_s if body.timeout_s is not None else self.query_timeout_s
         usual = timeout_s_for(self.bus, staged_units, typed=typed)
         return Deadline(self.made_at, usual if given is None else given)
 
     async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> tuple[int, Scales]:
-        """Return the raw setpoint of a unit, and what it was converted with. Raises Problem 404."""
+        """Return the raw setpoint of a unit, and its scale. Raises Problem 404."""
         unit_of_bus_or_404(self.bus, unit)
         if given.raw is not None:
             return given.raw, {}
@@ -356,8 +356,8 @@ class CommandCall:
         deadline: Deadline | None = None,
         scales: Scales | None = None,
     ) -> Response:
-        """Send ``action`` and return its result as a response. ``scales``: what its values were converted
-        with, unless they were given raw."""
+        """Send ``action`` and return its result as a response. ``scales``: those of its values, unless they
+        were given raw."""
         deadline = deadline or self.deadline(body)
         result = await self.commands.send(
             self.person, action, deadline=deadline, confirm=body.confirm, id=self.key, scales=scales or None
@@ -371,7 +371,7 @@ QueryTimeoutS = Annotated[float | None, Query(ge=0.05, le=30)]
 class _ReadCall(Requires):
     """A dependency that returns the call of a user who may read parameters.
 
-    It is one with the grant, and looks up what it needs: each dependency costs a request more than that does.
+    It also grants the right and looks up the services: a dependency of its own for each would cost more.
     """
 
     async def __call__(  # type: ignore[override]
@@ -381,7 +381,7 @@ class _ReadCall(Requires):
 
 
 class _WriteCall(RequiresWrite):
-    """The same for a user who may send a kind of command that writes."""
+    """The dependency that does so for a user who may send a kind of command that writes."""
 
     async def __call__(  # type: ignore[override]
         self,
@@ -470,7 +470,7 @@ async def write_output(
 async def write_analog_output(
     call: Annotated[CommandCall, calling(WRITE_ANALOG_OUTPUT)], unit: int, body: AnalogOutputRequest
 ) -> Response:
-    """Send 88h. The best outcome is acknowledged: there is nothing to read back."""
+    """Send 88h. The best outcome is acknowledged, because nothing can be read back."""
     return await call.send(WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
 
 
@@ -487,11 +487,9 @@ async def get_parameters(
     refresh: bool = False,
     gaps: bool = False,
 ) -> list[dict[str, Any]]:
-    """List all 40 parameters as last read, or with ``refresh`` read now. #21 is masked.
-
-    With ``gaps`` only the gaps of the scan are used: slower, and polling keeps its rate. A parameter that
-    was never read is read now if the unit responds.
-    """
+    """List all 40 parameters as last read, or with ``refresh`` read now. #21 is masked. With ``gaps`` only
+    the gaps of the scan are used: slower, and polling keeps its rate. A parameter that was never read is read
+    now if the unit responds."""
     found = unit_of_bus_or_404(call.bus, unit)
     if refresh:
         await _read(call, unit, list(PARAMETERS), gaps=gaps)

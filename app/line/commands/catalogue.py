@@ -61,36 +61,36 @@ SCALE_READS = 3
 
 
 def timeout_s_for(bus: BusLive, staged_units: int = 0, *, typed: bool = False) -> float:
-    """Return how long a write may wait to be sent: a change of several units also needs the time of its
-    staging. ``staged_units``: how many, 0 for a command to one. ``typed``: its values were not given raw."""
+    """Return how many seconds a write may wait to be sent: a change of several units also needs the time of
+    its staging. ``staged_units``: how many, 0 for a single one. ``typed``: its values were not given raw."""
     reads = SCALE_READS if typed else 0
     return DEFAULT_TIMEOUT_S + staged_units * longest_stage_s(bus.baud, bus.settings.turnaround_s, reads)
 
 
 def longest_change_s(bus: BusLive, units: int) -> float:
-    """Return when the result of a change of several units is known at the latest: it may be withdrawn from
-    each."""
+    """Return after how many seconds the result of a change of several units is known at the latest, even if
+    it is withdrawn from each."""
     return 2 * timeout_s_for(bus, units, typed=True)
 
 
 A = TypeVar("A", bound=Action)
 
 READ_S, READ_IN_GAPS_S = 30.0, 600.0
-"""Forty reads at 300 baud, and the same in a tenth of the wire."""
+"""The seconds for forty reads at 300 baud, and for the same in a tenth of the wire."""
 SCAN_S = 180.0
 
 
 @dataclass(frozen=True, slots=True)
 class CommandKind(Generic[A]):
-    """One kind of command. The functions get the request, and the bus as it is now."""
+    """One kind of command. Its functions take the request, and the bus as it is now."""
 
     request: type[A]
     role: Role
-    """Who may send the command, and all roles above."""
+    """The lowest role that may send the command."""
     wording: Callable[[A, BusLive], Wording]
-    """What the command is called in the events."""
+    """The words for the command in the events."""
     part_wordings: Callable[[A, BusLive], Mapping[int, Wording]] = lambda _, _bus: {}
-    """What a change of several units is called for each of them."""
+    """The words for each unit's part in a change of several."""
     units_written: Callable[[A, BusLive], Sequence[int]] = lambda action, _: (
         action.units if action.writes else ()
     )
@@ -102,7 +102,7 @@ class CommandKind(Generic[A]):
     danger: Callable[[A], str] = lambda _: ""
     """Why the command must be confirmed; empty if it need not be."""
     timeout_s: Callable[[A, BusLive], float] = lambda _, bus: timeout_s_for(bus)
-    """How long the command may take if its sender gives no timeout."""
+    """The seconds that the command may take if its sender gives no timeout."""
     writes_parameters: bool = False
     is_secret: Callable[[A], bool] = lambda _: False
     """Whether its frames carry a secret (#21)."""
@@ -153,7 +153,7 @@ SET_LINE = CommandKind(
     units_written=lambda action, bus: sorted({*action.setpoints, *staged_setpoints(bus)}),
     setpoints=lambda action, _: new_setpoints(action.setpoints),
     check=check_line,
-    # Its broadcast executes what other units hold staged, too.
+    # Its broadcast also executes what other units hold staged.
     only_slows=lambda action, bus: slows_all({**staged_setpoints(bus), **action.setpoints}, bus),
     timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints), typed=True),
 )
@@ -204,7 +204,7 @@ SCAN_BUS = CommandKind(
     Role.ENGINEER,
     wording=lambda action, _: Wording(Message.of("event_scan", first=action.first, last=action.last)),
     timeout_s=lambda _, _bus: SCAN_S,
-    # A look at one address, as a swap takes every few seconds, is none.
+    # A read of one address, which a swap sends every few seconds, is no event.
     is_event=lambda action: action.last > action.first,
 )
 READ_TRACE = CommandKind(
@@ -220,7 +220,7 @@ COMMANDS: dict[type[Action], CommandKind[Any]] = {
 
 
 ROLES_BY_COMMAND: dict[str, Role] = {request.__name__: kind.role for request, kind in COMMANDS.items()}
-"""Who may send each command, for the templates, which name it by its request."""
+"""The role that may send each command, for the templates, which name it by its request."""
 
 
 def kind_of_command(action: Action) -> CommandKind[Any]:

@@ -1,5 +1,4 @@
-"""Who holds control of a bus, if the site allows one user at a time, and who requests it. Pure: time is
-passed in.
+"""The control of a bus, if the site allows one user at a time, and requests for it. Pure: time is passed in.
 
 Control is held in memory only: after a restart it is free. A request changes nothing until the holder grants
 it, and no request takes control from a holder who does not respond.
@@ -18,14 +17,14 @@ from bus.messages import Message
 LAPSES_AFTER_S = 600.0
 REQUEST_LAPSES_AFTER_S = 60.0
 REQUEST_RESTS_S = 60.0
-"""How long the end of a request is shown, and for how long a declined one is not repeated."""
+"""For so many seconds the end of a request is shown, and a declined one cannot be repeated."""
 RequestState = Literal["pending", "declined", "lapsed"]
 
 
 @dataclass(frozen=True, slots=True)
 class Holding:
-    """Control of one bus. It lapses after :data:`LAPSES_AFTER_S` without a command of its holder, also if the
-    wall clock is set meanwhile; ``since`` is for people."""
+    """The holding of control of one bus. It lapses after :data:`LAPSES_AFTER_S` without a command of its
+    holder, even if the wall clock is set meanwhile; ``since`` is for people."""
 
     holder: str
     since: UnixTime
@@ -45,7 +44,7 @@ class RequestedControl:
     declined_at: Monotonic | None = None
 
     def state(self, now: Monotonic) -> RequestState:
-        """Return its state: it lapses after :data:`REQUEST_LAPSES_AFTER_S` without a response."""
+        """Return the state; a request lapses after :data:`REQUEST_LAPSES_AFTER_S` without a response."""
         if self.declined_at is not None:
             return "declined"
         return "pending" if now - self.made_at < REQUEST_LAPSES_AFTER_S else "lapsed"
@@ -66,7 +65,7 @@ class Control:
         self._holding: Holding | None = None
         self._request: RequestedControl | None = None
         self._declined: dict[str, Monotonic] = {}
-        """By account, when the present holder declined its last request."""
+        """When the present holder declined the last request of each account."""
 
     def holding(self, now: Monotonic) -> Holding | None:
         """Return who holds control; None if it is free."""
@@ -74,14 +73,14 @@ class Control:
         return holding if holding is not None and holding.left_s(now) > 0 else None
 
     def request_now(self, now: Monotonic) -> RequestedControl | None:
-        """Return the request to the present holder, also for a while after its end; None if there is none."""
+        """Return the request to the present holder, even for a while after its end; None if there is none."""
         request = self._request
         if request is None or self.holding(now) is None or request.left_s(now) <= 0:
             return None
         return request
 
     def take(self, who: str, now: Monotonic, at: UnixTime) -> Holding:
-        """Take control if it is free; ``at`` is shown as the time of taking it. Raises Problem 409."""
+        """Take control if it is free; ``at`` is shown as its beginning. Raises Problem 409."""
         holding = self.holding(now)
         if holding is not None and holding.holder != who:
             raise controlled(Message.of("control_held_by", who=account_shown(holding.holder)))
@@ -93,7 +92,7 @@ class Control:
     def hand_over(
         self, who: str, to: str, now: Monotonic, at: UnixTime, *, by_force: bool = False
     ) -> Holding:
-        """Hand control over; ``at`` is shown as the time of that. Raises Problem 409 for a user who does not
+        """Hand control over; ``at`` is shown as its beginning. Raises Problem 409 for a user who does not
         hold it."""
         if not by_force:
             self._require(who, now)
@@ -105,7 +104,7 @@ class Control:
         self._free()
 
     def revoke(self, who: str, now: Monotonic) -> bool:
-        """Free control if this account holds it, and end its request. Returns whether it held control."""
+        """Free control if this account holds it, and end its request. Return whether it held control."""
         if self._request is not None and self._request.by == who:
             self._request = None
         if self._holding is None or self._holding.holder != who:
@@ -115,9 +114,9 @@ class Control:
         return held
 
     def request(self, who: str, now: Monotonic) -> bool:
-        """Request control from its holder. Returns whether that is a new request. Raises Problem 409 if
-        control is free or held by ``who``, while another request is open, and for a while after the holder
-        has declined."""
+        """Request control from its holder. Return whether the request is new. Raises Problem 409 if control
+        is free or held by ``who``, while another request is open, and for a while after the holder has
+        declined."""
         holding = self.holding(now)
         if holding is None:
             raise controlled(Message("control_not_taken"))
@@ -141,8 +140,8 @@ class Control:
         return self._pending(now).by
 
     def end_request(self, who: str, now: Monotonic) -> RequestedControl:
-        """End the pending request: its account withdraws it, the holder declines it. Returns it as it was.
-        Raises Problem 409 for anyone else, and if there is none."""
+        """End the pending request: its account withdraws it, the holder declines it. Return the ended
+        request. Raises Problem 409 for anyone else, and if there is none."""
         request, holding = self._pending(now), self.holding(now)
         if request.by == who:
             self._request = None
@@ -158,7 +157,7 @@ class Control:
         return self._held_by_other(who, now) if self.required else None
 
     def use(self, who: str, now: Monotonic) -> Message | None:
-        """Renew control for a write of its holder. Returns why this account may not write, as
+        """Renew control for a write of its holder. Return why this account may not write, as
         :meth:`objection` does."""
         objection = self.objection(who, now)
         if self.required and objection is None and self._holding is not None:
@@ -200,6 +199,7 @@ class Control:
 
 
 def controlled(reason: Message, bus: str = "") -> Problem:
-    """Make the refusal of what needs control. ``bus``: of a command, so that its page can offer control."""
+    """Make the refusal of an act that needs control. ``bus``: that of a command, so that its page can offer
+    control."""
     extra = {"bus": bus} if bus else {}
     return Problem(409, "controlled", reason, outcome="controlled", **extra)

@@ -51,7 +51,7 @@ HOUR_S = 3600.0
 RECENT_S = 60.0
 PIECE = 2000
 MAX_PIECES = 200
-"""An hour of a full bus has 140. Bounds a download from a worker that always has more frames."""
+"""An hour of a full bus has 140 pieces. This bounds a download from a worker that never ends."""
 
 
 class TraceShown(TypedDict):
@@ -151,7 +151,7 @@ def make(services: Services) -> None:
 
 
 class StagedCount(NamedTuple):
-    """How many units of a bus hold a setpoint that is not executed."""
+    """The number of units of a bus that hold a setpoint that is not executed."""
 
     bus: str
     units: int

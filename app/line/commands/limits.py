@@ -1,8 +1,8 @@
-"""What people restrict on a bus: limits of setpoints, blocks of units, the read-only mode.
+"""The restrictions that people set on a bus: limits of setpoints, blocks of units, the read-only mode.
 
 All four limits are raw integers of the unit's own setpoint: display units, or the ratio times 10000 for a
-follower. A read-only bus is sent no command but one that makes it slower, for a time or until an
-administrator ends that: people at the line who may not end it can still slow it down.
+follower. A read-only bus accepts only commands that make it slower, for a time or until an administrator ends
+the mode: people at the line who may not end it can still slow the line down.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from bus.instants import Monotonic, UnixTime
 from bus.messages import Message, listed, term
 
 HIGHEST_SETPOINT = 99999
-"""Manual, command 82h."""
+"""The highest setpoint of the manual, command 82h."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """The limits of a unit; None is no limit. ``per_minute``: how far the setpoint may move within a minute.
-    ``decimals``: of the display for which they were typed; None if they were given raw."""
+    ``decimals``: those of the display for which they were typed; None if they were given raw."""
 
     lowest: int | None = None
     highest: int | None = None
@@ -59,7 +59,7 @@ NO_LIMITS = Limits()
 
 @dataclass(frozen=True, slots=True)
 class CommandBlock:
-    """Why a unit is blocked, by whom, since when (Unix time)."""
+    """The block of a unit: the reason, who set it, and when (Unix time)."""
 
     reason: str
     set_by: str
@@ -72,7 +72,7 @@ class CommandBlock:
 
 @dataclass(frozen=True, slots=True)
 class ReadOnly:
-    """Why a bus is read-only, by whom, since when and until when: None for no end. Unix times."""
+    """The read-only mode of a bus: the reason, who set it, when and until when (None: no end), Unix times."""
 
     reason: str
     set_by: str
@@ -85,22 +85,22 @@ class ReadOnly:
 
 
 MAX_READ_ONLY_MINUTES = 7 * 24 * 60
-"""Longer is for the role of an account, or for the configuration."""
+"""A longer time is a matter for the role of an account, or for the configuration."""
 Row = tuple[Any, ...]
 Protection = dict[str, list[Row]]
-"""Table → its rows."""
+"""The rows of each table, by its name."""
 _COLUMNS = {
     "blocks": ("bus, unit", "reason, set_by, set_at"),
     "limits": ("bus, unit", "lowest, highest, largest_step, per_minute, set_by, set_at"),
     "limits_scale": ("bus, unit", "decimals"),
     "read_only": ("bus", "reason, set_by, set_at, until"),
 }
-"""Table → its key, and its other columns."""
+"""The key and the other columns of each table, by its name."""
 _PROTECTION = ("blocks", "limits", "limits_scale")
 
 
 class Restrictions:
-    """The limits, blocks and read-only mode of one bus: read once, written through.
+    """The limits, blocks and read-only mode of one bus: read once, every change written at once.
 
     The duration of the mode is measured by the monotonic clock: setting the wall clock neither ends nor
     prolongs it.
@@ -140,7 +140,7 @@ class Restrictions:
         return self._read_only if monotonic < self._ends_at else None
 
     def read_only_left_s(self, monotonic: Monotonic) -> float:
-        """Return how long the mode lasts, infinite if it has no end, 0 if it is not set."""
+        """Return how many seconds the mode lasts, infinite if it has no end, 0 if it is not set."""
         return 0.0 if self._read_only is None else max(self._ends_at - monotonic, 0.0)
 
     async def put_limits(self, unit: int, limits: Limits, set_by: str, set_at: UnixTime) -> None:
@@ -155,25 +155,25 @@ class Restrictions:
         self._limits[unit] = limits
 
     async def put_block(self, unit: int, block: CommandBlock) -> None:
-        """Block a unit, or give another reason."""
+        """Block a unit, or replace the reason of its block."""
         row = self._bus, unit, *astuple(block)
         await self._database.write(lambda store: _replace(store, "blocks", [row]))
         self._blocks[unit] = block
 
     async def lift_block(self, unit: int) -> None:
-        """Free a unit."""
+        """Lift the block of a unit."""
         delete = "DELETE FROM blocks WHERE bus = ? AND unit = ?"
         await self._database.write(lambda store: store.execute(delete, (self._bus, unit)))
         self._blocks.pop(unit, None)
 
     async def put_read_only(self, mode: ReadOnly, monotonic: Monotonic) -> None:
-        """Begin the mode, or give another reason and time."""
+        """Begin the read-only mode, or replace its reason and time."""
         row = self._bus, *astuple(mode)
         await self._database.write(lambda store: _replace(store, "read_only", [row]))
         self._set_read_only(mode, mode.set_at, monotonic)
 
     async def end_read_only(self) -> None:
-        """End the mode."""
+        """End the read-only mode."""
         delete = "DELETE FROM read_only WHERE bus = ?"
         await self._database.write(lambda store: store.execute(delete, (self._bus,)))
         self._read_only = None

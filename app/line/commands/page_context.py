@@ -47,12 +47,12 @@ from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 _RESULT: dict[str, Any] = {"requested": "", "reads": "", "undo": None, "controlled": ""}
-"""What a result shows unless something else is given."""
+"""The defaults of the context in which a result is rendered."""
 
 
 @dataclass(frozen=True, slots=True)
 class Confirmation:
-    """What a confirmed review posts: the id of its command, when it was shown, and the id of the command
+    """The form of a confirmed review: the id of its command, when it was shown, and the id of the command
     that it undoes."""
 
     id: str
@@ -163,8 +163,8 @@ class BusPage(PageContext):
         self.commands.check(self.person, action, confirm=True)
 
     async def judge(self, action: Action, deadline: Deadline | None = None) -> None:
-        """Check a command; what must be known of its units is read first, within its time. Raises Problem if
-        it would not be sent."""
+        """Check a command; parameters that bound it are read first, within its time. Raises Problem if it
+        would not be sent."""
         await self.commands.read_ranges(self.person, action, deadline or self.deadline())
         self.check(action)
 
@@ -191,9 +191,8 @@ class BusPage(PageContext):
         undoes: str = "",
         scales: Scales | None = None,
     ) -> Result:
-        """Send the reviewed command, once. ``deadline``: if it is not that of its kind; ``undoes``: the id of
-        the command that it undoes; ``scales``: what the review was made with. Raises Problem if it is not
-        sent."""
+        """Send the reviewed command, once. ``deadline``: if not that of its kind; ``undoes``: the id of the
+        command that it undoes; ``scales``: those of the review. Raises Problem if it is not sent."""
         timeout_s = kind_of_command(action).timeout_s(action, self.bus)
         deadline = deadline or Deadline(self.made_at, timeout_s)
         return await self.commands.send(
@@ -208,7 +207,7 @@ class BusPage(PageContext):
         )
 
     async def has_sent(self, id: str) -> bool:
-        """Return whether the form was sent before: its command is then not judged again, its result is
+        """Return whether the form was sent before: its command is then not judged again, and its result is
         shown."""
         return (await self._look_up(id)).is_used
 
@@ -222,8 +221,8 @@ class BusPage(PageContext):
     async def carry_out(
         self, action: Action, confirmation: Confirmation, scales: Scales | None = None
     ) -> Result:
-        """Send what was confirmed while its review lasts; ``scales``: what that was made with. Raises Problem
-        if it is not sent."""
+        """Send a confirmed command while its review lasts; ``scales``: those of the review. Raises Problem if
+        it is not sent."""
         if not await self.has_sent(confirmation.id):
             confirmation.refuse_lapsed()
         return await self.send(action, confirmation.id, undoes=confirmation.undoes, scales=scales)
@@ -298,7 +297,7 @@ class UnitPage(BusPage):
         return self.shown(units[at]) if 0 <= at < len(units) else None
 
     def golden_values(self) -> Mapping[int, Message]:
-        """Return what the golden set of the unit has for each parameter that differs from it, by number."""
+        """Return the value in the unit's golden set for each parameter that differs from it, by number."""
         drift = service_of(self.request, Sources).drift.get(self.name)
         return {} if drift is None else drift.golden_values(self.id)
 
@@ -325,7 +324,7 @@ def new_id() -> str:
 
 
 async def _page_of_site(request: Request) -> PageContext:
-    # A press that was held up on its way ends here, as a Problem 503.
+    # A press that was delayed on its way ends here, as a Problem 503.
     refuse_late(request)
     return PageContext(request)
 
@@ -336,7 +335,7 @@ async def _page_of_bus(request: Request, bus: str) -> BusPage:
 
 
 async def unit_page_of(request: Request, bus: str, unit: int) -> UnitPage:
-    """Return the request with its unit. Raises Problem 404, and 503 for a press that was held up."""
+    """Return the request with its unit. Raises Problem 404, and 503 for a press that was delayed."""
     refuse_late(request)
     return UnitPage(request, bus, unit)
 

@@ -1,9 +1,9 @@
-"""A command in the events, with the key of its sender.
+"""The record of commands: in the events, and under the keys of their senders.
 
-Its intent is on disk before anything is sent, its result once it is known. A change of several units is one
-event for the line and one for each unit, all in one transaction.
+The intent of a command is on disk before anything is sent, its result once it is known. A change of several
+units is one event for the line and one for each unit, all in one transaction.
 
-A command sent again with its idempotency key, also after a restart, returns the same result, and nothing is
+A command sent again with its idempotency key, even after a restart, returns the same result, and nothing is
 sent to the unit. The key is stored in the transaction of the command's own event: it is known exactly when
 the intent is, which is before anything is sent. Keys of different senders are independent.
 """
@@ -36,7 +36,7 @@ from bus.messages import Message, term
 log = structlog.get_logger()
 
 CommandOrigin = Literal["api", "batch edit", "change tray", "page", "restore", "unit swap"]
-"""Which way a command came; a recipe is named by a message."""
+"""The way on which a command came; a recipe is named by a message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +53,9 @@ class CommandRequest:
     key: str | None = None
     """The sender's key, by which it gets the result again."""
     undoes: str = ""
-    """The key of the command that it undoes."""
+    """The key of the command that this one undoes."""
     scales: Scales | None = None
-    """What its values were shown and typed with; None if they were given raw."""
+    """The scales in which its values were shown and typed; None if they were given raw."""
 
     @property
     def can_be_undone(self) -> bool:
@@ -65,7 +65,7 @@ class CommandRequest:
 
 
 def without_secret(action: Action, result: Result) -> Result:
-    """Return ``result`` as it may be stored and shown: for a secret without what was read back, the frames,
+    """Return ``result`` in the form to store and show: for a secret without the value read back, the frames,
     and words that may name it."""
     if not kind_of_command(action).is_secret(action):
         return result
@@ -74,15 +74,15 @@ def without_secret(action: Action, result: Result) -> Result:
 
 
 def _masked(result: Result | UnitOutcome) -> Message | None:
-    """Replace a message that states the value that was read back instead of the requested one."""
+    """Replace a message that states the value read back instead of the requested one."""
     differs = result.read_back is not None and result.outcome != "verified"
     return Message("secret_differs") if differs else result.message
 
 
 @dataclass(frozen=True, slots=True)
 class Intent:
-    """The events of one command. ``parts``: unit → event, for a change of several. ``words``: of both, as
-    they were stored before it was sent."""
+    """The events of one command. ``parts``: unit → event, for a change of several. ``words``: those of both,
+    as stored before it was sent."""
 
     event: int
     parts: dict[int, int]
@@ -101,7 +101,7 @@ class KeptCommand:
 
 @dataclass(frozen=True, slots=True)
 class StoredCommand:
-    """A command of a key from before the start. ``digest``: of its request."""
+    """A command of a key from before the start of the server. ``digest``: that of its request."""
 
     digest: str
     result: Result
@@ -109,8 +109,8 @@ class StoredCommand:
 
 @dataclass(frozen=True, slots=True)
 class CommandKey:
-    """The id that a sender has given a command, looked up. At most one is there: ``kept``, the command with
-    this id that this server has taken, or ``stored``, one from before its start."""
+    """The result of looking up the id that a sender has given a command. At most one is set: ``kept``, the
+    command that this server has taken, or ``stored``, one from before its start."""
 
     id: str
     kept: KeptCommand | None = None
@@ -123,19 +123,19 @@ class CommandKey:
 
 
 MAX_KEPT = 1000
-"""Results kept in memory for senders that repeat a key."""
+"""The most results kept in memory for senders that repeat a key."""
 MAX_AGE_S = 7 * 86_400.0
-"""How long a key is stored."""
+"""The seconds for which a key is stored."""
 MAX_OF_A_SENDER = 2000
-"""How many keys of one sender are stored; the oldest are forgotten first."""
+"""The most stored keys of one sender; the oldest are deleted first."""
 UNREADABLE = Message("result_unreadable")
 _FROM_BEFORE = ""
-"""The sender of keys that an earlier version has stored without one."""
+"""The sender of keys that an earlier version has stored without a sender."""
 
 
 class CommandRecord:
-    """Commands in the events, and by their keys in memory and on disk. One for the site: a key belongs to its
-    sender, whichever bus the command is for."""
+    """The record of the commands of a site, in the events, and by their keys in memory and on disk. There is
+    one for all buses, because a key belongs to its sender."""
 
     def __init__(self, events: EventLog, database: Database, now: Clock) -> None:
         self._events = events
@@ -155,7 +155,7 @@ class CommandRecord:
             self._kept.popitem(last=False)
 
         def forget_failed(result: asyncio.Task[Result]) -> None:
-            # It has no result to give again: what was sent, if anything was, is on disk.
+            # It has no result to return again: what was sent, if anything, is on disk.
             if result.cancelled() or result.exception() is not None:
                 self._kept.pop(place, None)
 
@@ -178,7 +178,7 @@ class CommandRecord:
         return stored.result
 
     async def intend(self, request: CommandRequest, live: BusLive) -> Intent:
-        """Store a command before it is sent. Raises StoreError, and then nothing may be sent."""
+        """Store a command before it is sent. Raises StoreError, after which nothing may be sent."""
         kind = kind_of_command(request.action)
         words, by_unit = kind.wording(request.action, live), dict(kind.part_wordings(request.action, live))
         group = _entry(request, request.action.only_unit, words)
@@ -195,7 +195,7 @@ class CommandRecord:
 
     async def conclude(self, intent: Intent, request: CommandRequest, result: Result, live: BusLive) -> None:
         """Store the result of an intent, and the values of a command that was given raw in the scale that was
-        read with it, if that is another. The result stands even if the database fails now."""
+        read with it, if that differs. The result stands even if the database fails now."""
         texts: dict[str, Message] = {}
         part_texts: dict[int, dict[str, Message]] = {}
         if request.scales is None:
@@ -258,8 +258,8 @@ def refuse_other(key: str | None, *, same: bool) -> None:
 
 
 def digest(ring: KeyRing, bus: str, action: Action) -> str:
-    """Identify a command without storing it. Keyed with the server's secret: a password of few digits (#21)
-    could be found from a plain hash by trying all."""
+    """Return a keyed digest of a command. It is keyed with the server's secret, because a password of few
+    digits (#21) could be found from a plain hash by trying all."""
     return ring.seal("command", *_digested(bus, action))
 
 

@@ -1,4 +1,4 @@
-"""What a page shows of a command before it is confirmed, and once its result is known. Pure.
+"""The review of a command on a page before it is confirmed, and its words once its result is known. Pure.
 
 The review of a setpoint shows from where to where it goes, within which range, for how long, why the unit
 cannot take it now, its risks, and what it does to the draw between neighboring sections. The review of
@@ -40,7 +40,7 @@ from bus.messages import Message, number
 from bus.settings import DrawBand, Seam
 
 REVIEW_LASTS_S = 45.0
-"""Thirty seconds on the screen, and some time for the way to the server."""
+"""The seconds that a review lasts: thirty on the screen, and some time for the way to the server."""
 COARSE_STEPS, FINE_STEPS = 100, 1000
 """A nudge is about a hundredth or a thousandth of the full span."""
 
@@ -93,8 +93,8 @@ def _round_number(size: float) -> int:
 def obstacle_of(
     bus: BusLive, unit: UnitLive, now: UnixTime, *, block: Message | None = None
 ) -> Message | None:
-    """Return the first reason why the unit cannot take a command now, since the next may disappear with it;
-    None if there is none. ``block``: why commands to it are blocked."""
+    """Return the first reason why the unit cannot take a command now, because the next may disappear with it;
+    None without one. ``block``: why commands to it are blocked."""
     if block:
         return Message.of("obstacle_blocked", block=block)
     if bus.link.link != "open":
@@ -109,8 +109,8 @@ def obstacle_of(
 def risks_of(
     bus: BusLive, unit: UnitLive, now: UnixTime, ramp: Ramp | None, setpoint: int | None = None
 ) -> tuple[Message, ...]:
-    """Return what may be unexpected about the unit's state, in order of display. ``ramp`` None: the command
-    starts none. ``setpoint``: the new one, raw, which an engineer's limit may allow although #2 does not."""
+    """Return the risks of the unit's present state, in order of display. ``ramp`` None: the command starts
+    none. ``setpoint``: the new one, raw, which an engineer's limit may allow although #2 does not."""
     found: list[Message] = []
     if setpoint is not None and _is_above_display(unit, setpoint):
         found.append(Message("risk_above_display"))
@@ -165,7 +165,7 @@ class SetpointChange:
     lowest: str | Message
     highest: str | Message
     scale: str
-    """The scale that it was converted with, as the form of the review holds it."""
+    """The scale of the new setpoint, as the form of the review holds it."""
     ramp: Ramp | None
     obstacle: Message | None
     risks: tuple[Message, ...]
@@ -182,7 +182,7 @@ def change_of(
     typed_with: UnitScale | None = None,
 ) -> SetpointChange:
     """Describe setting ``new_raw``. ``block``: why commands to the unit are blocked, if they are;
-    ``typed_with``: the scale that it was converted with, which the unit may not have any more."""
+    ``typed_with``: the scale of the setpoint, which the unit may not have any more."""
     old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)
     ramp = ramp_of(unit, old_raw, new_raw)
     return SetpointChange(
@@ -204,10 +204,9 @@ def change_of(
 
 @dataclass(slots=True)
 class ZeroPlan:
-    """How a bus is set to zero: every unit ramps to speed 0 by its own #7; followers keep their ratio and
-    come down with their master. It is not an emergency stop: nothing on this link can run or stop a drive.
-
-    ``units``: address → name. ``left_out`` and ``risks``: name, with its reason or risk."""
+    """The plan to set a bus to zero: every unit ramps to speed 0 by its own #7; followers keep their ratio
+    and come down with their master. It is not an emergency stop: nothing on this link can run or stop a
+    drive. ``units``: address → name. ``left_out`` and ``risks``: name, with its reason or risk."""
 
     bus: str
     units: dict[int, str] = field(default_factory=dict)
@@ -215,12 +214,12 @@ class ZeroPlan:
     left_out: list[tuple[str, Message]] = field(default_factory=list)
     risks: list[tuple[str, Message]] = field(default_factory=list)
     seconds: float = 0.0
-    """The longest ramp, as far as #2 and #7 are known."""
+    """The seconds of the longest ramp, as far as #2 and #7 are known."""
 
 
 def plan_zero(bus: BusLive, block: Callable[[int], Message | None], now: UnixTime) -> ZeroPlan:
-    """Plan to set every master to 0 that can take it, the others each with a reason. ``block``: gives why
-    commands to a unit are blocked, None if they are not."""
+    """Plan to set every master to 0 that can take it, the others each with a reason. ``block``: a function
+    that returns why commands to a unit are blocked, None if they are not."""
     plan = ZeroPlan(bus.settings.name)
     for address, unit in bus.units.items():
         name, ramp = unit.settings.name, ramp_of(unit, present_setpoint(bus, unit), 0)
@@ -236,16 +235,16 @@ def plan_zero(bus: BusLive, block: Callable[[int], Message | None], now: UnixTim
 
 
 class DrawChange(NamedTuple):
-    """A draw that changes. ``is_out``: out of the band that the site sets for it."""
+    """A draw that changes. ``is_out``: whether it is out of the band that the site sets for it."""
 
     text: Message
     is_out: bool
 
 
 def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]:
-    """Return each draw that these setpoints, raw by unit, change to one outside its band, or without a band,
-    in floor order. A unit without a new setpoint stays at its commanded speed. A follower has a ratio:
-    nothing is known of its draw."""
+    """Return each draw that these setpoints, raw by unit, move out of its band, or change without a band, in
+    floor order. A unit without a new setpoint stays at its commanded speed. A follower has a ratio: nothing
+    is known of its draw."""
     changes = []
     for unit, seam in bus.seams.items():
         pair = bus.units[seam.before], bus.units[unit]
@@ -272,7 +271,7 @@ class DrawSeam(NamedTuple):
 
 
 def draw_seam(bus: BusLive, unit: int) -> DrawSeam | None:
-    """Return between which setpoints the draw of a unit is; None if one of them is a ratio or has another
+    """Return the setpoints between which a unit has a draw; None if one of them is a ratio or has another
     quantity."""
     seam = bus.seams.get(unit)
     if seam is None:
@@ -290,7 +289,7 @@ def _draw(bus: BusLive, pair: tuple[UnitLive, UnitLive], seam: Seam, setpoints: 
 
 
 def _speed(bus: BusLive, unit: UnitLive, setpoints: Mapping[int, int]) -> SectionSpeed:
-    """Return the speed of a section. One that stands stays so, whatever is commanded."""
+    """Return the speed of a section. A standing one keeps standing, whatever is commanded."""
     raw = setpoints.get(unit.settings.id)
     if raw is None and unit.reading is not None:
         raw = 0 if unit.reading.actual == 0 else unit.reading.commanded
@@ -320,8 +319,8 @@ Tone = Literal["good", "bad", "unknown"]
 
 @dataclass(frozen=True, slots=True)
 class OutcomeText:
-    """The result of a command in words. ``good``: as requested; ``bad``: not so, and nothing is half done;
-    ``unknown``: not known."""
+    """The result of a command in words. ``good``: as requested; ``bad``: not as requested, and nothing is
+    half done; ``unknown``: not known."""
 
     tone: Tone
     text: Message
@@ -358,8 +357,8 @@ def outcome_text(result: Result | UnitOutcome, shown: Callable[[int], str | Mess
 
 
 def _explains(result: Result | UnitOutcome) -> bool:
-    """Return whether the message of a result replaces its usual text: where no unit has rejected it, and
-    where it says that one unit's part of a change was reverted or is still staged."""
+    """Return whether the message of a result replaces its usual text: if no unit has rejected it, and if it
+    states that one unit's part of a change was reverted or is still staged."""
     if result.outcome == "refused":
         return result.unit_error is None
     in_part = isinstance(result, UnitOutcome) and result.read_back is None

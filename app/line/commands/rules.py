@@ -1,4 +1,4 @@
-"""Decide whether a command may be sent, and which setpoints a unit may get. Pure: time is passed in.
+"""Rules: whether a command may be sent, and which setpoints a unit may get. Pure: time is passed in.
 
 ==========  =======================================================================================
 a speed     0 to #2, the number displayed at full scale. An engineer's own highest setpoint takes its
@@ -8,10 +8,9 @@ a ratio     #38 to #31, which an engineer's own limits can only narrow
 ==========  =======================================================================================
 
 A setpoint is checked in this order: its range, how far it may move within a minute, how large a step may be
-without a review. A master's speed 0 is always allowed: no limit may keep a line from being set to zero.
-
-Only the unit can decide on a write in LOCAL and on an analog output that is not set for the link: these are
-sent, and refused by the unit.
+without a review. A master's speed 0 is always allowed: no limit may keep a line from being set to zero. Only
+the unit can decide on a write in LOCAL and on an analog output that is not set for the link: these are sent,
+and refused by the unit.
 """
 
 from __future__ import annotations
@@ -66,7 +65,7 @@ def reason_of(problem: Problem) -> Message:
 
 @dataclass(frozen=True, slots=True)
 class RuleContext:
-    """The state that the rules judge by. ``moved``: how far a unit's setpoint has moved within a minute."""
+    """The state on which the rules decide. ``moved``: how far a unit's setpoint has moved within a minute."""
 
     bus: BusLive
     limits: Callable[[int], Limits]
@@ -105,13 +104,13 @@ class SetpointRange:
 
 
 def kind_of(unit: UnitLive) -> SetpointKind:
-    """Return what the unit's own setpoint is, by #8; a speed while #8 was not read."""
+    """Return the kind of the unit's own setpoint, by #8; a speed while #8 was not read."""
     return "ratio" if follower(unit) else "speed"
 
 
 def setpoint_range(unit: UnitLive, limits: Limits, kind: SetpointKind | None = None) -> SetpointRange:
-    """Return the range of a setpoint of the unit. ``kind``: of a setpoint that is not the unit's own, as a
-    master has a ratio in #37 too; the engineer's ``limits`` apply only to its own."""
+    """Return the range of a setpoint of the unit. ``kind``: that of a setpoint that is not the unit's own,
+    since a master has a ratio in #37 too; the engineer's ``limits`` apply only to its own."""
     own = kind_of(unit)
     kind = kind or own
     found = _of_the_unit(unit, kind)
@@ -198,8 +197,8 @@ def new_setpoints(setpoints: Mapping[int, int]) -> list[NewSetpoint]:
 
 
 def check_setpoint(unit: int, raw: int, now: RuleContext, kind: SetpointKind | None = None) -> None:
-    """Raise Problem for the first reason not to send ``raw``. ``kind``: of a setpoint that is not the unit's
-    own, which is judged by its range alone."""
+    """Raise Problem for the first reason not to send ``raw``. ``kind``: that of a setpoint that is not the
+    unit's own, which is judged by its range alone."""
     live, limits = now.bus.units[unit], now.limits(unit)
     _check_scale(live, raw, limits)
     _check_range(live, raw, limits, kind)
@@ -221,7 +220,7 @@ def commanded_setpoint(live: UnitLive, bus: BusLive) -> int | None:
 
 def setpoint_parameter(live: UnitLive, bus: BusLive) -> int | None:
     """Return the parameter that holds the setpoint of the unit while its status shows another value: an input
-    stands above the setpoint, or a follower shows its speed. None where the status shows the setpoint."""
+    overrides the setpoint, or a follower shows its speed. None if the status shows the setpoint."""
     if live.reading is None:
         return None
     bits = bits_of(bus, live.reading)
@@ -232,7 +231,7 @@ def setpoint_parameter(live: UnitLive, bus: BusLive) -> int | None:
 
 
 def _check_scale(live: UnitLive, raw: int, limits: Limits) -> None:
-    """Refuse limits that were typed for another display: they are other limits by now. Speed 0 needs none."""
+    """Refuse limits that were typed for another display and so mean other speeds now. Speed 0 needs none."""
     are_other = limits.are_set and limits.decimals not in (None, setpoint_decimals(live))
     if are_other and (raw or follower(live)):
         unit = live.settings.id
@@ -283,7 +282,7 @@ WINDOW_S = 60.0
 
 
 class Moves:
-    """How far the setpoints of one bus have moved within the last minute."""
+    """The distances by which the setpoints of one bus have moved within the last minute."""
 
     def __init__(self) -> None:
         self._steps: dict[int, deque[tuple[Monotonic, int]]] = {}
@@ -310,8 +309,8 @@ class Moves:
 
 
 def slows_all(setpoints: Mapping[int, int], bus: BusLive) -> bool:
-    """Return whether each of these units becomes slower or stops, as it was last read. A setpoint never
-    changes the direction."""
+    """Return whether each of these units becomes slower or stops, compared with its last reading. A setpoint
+    never changes the direction."""
     return all(_slows(bus.units[unit], raw, bus) for unit, raw in setpoints.items())
 
 

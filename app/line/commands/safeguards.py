@@ -1,4 +1,5 @@
-"""Limits, blocks and control of one bus, which keep commands from being sent. Every change is an event."""
+"""The safeguards of one bus, which keep commands from being sent: limits, blocks, control. Each change is an
+event."""
 
 from __future__ import annotations
 
@@ -30,13 +31,13 @@ END_READ_ONLY = Act("end_read_only", Role.ADMIN, "block", "event_read_only_ended
 TAKE_CONTROL = Act("take_control", Role.OPERATOR, "control", "event_control_taken")
 HAND_OVER_CONTROL = Act("hand_over_control", Role.OPERATOR, "control", "event_control_handed_over")
 FORCE_CONTROL = Act("force_control", Role.ADMIN, "control", "event_control_handed_over")
-"""Handing over what another user holds."""
+"""The act of handing over control that another user holds."""
 RELEASE_CONTROL = Act("release_control", Role.OPERATOR, "control", "event_control_given_back", counted=False)
 REQUEST_CONTROL = Act("request_control", Role.OPERATOR, "control", "event_control_requested")
 GRANT_CONTROL = Act("grant_control", Role.OPERATOR, "control", "event_control_handed_over")
-"""Handing over to the account that has requested control."""
+"""The act of handing over to the account that has requested control."""
 END_CONTROL_REQUEST = Act("end_control_request", Role.OPERATOR, "control", "event_control_request_ended")
-"""Declining a request, by the holder, or withdrawing it."""
+"""The act of declining a request, by the holder, or of withdrawing it."""
 ACTS = (
     *(SET_LIMITS, BLOCK, UNBLOCK, SET_READ_ONLY, END_READ_ONLY),
     *(TAKE_CONTROL, HAND_OVER_CONTROL, FORCE_CONTROL, RELEASE_CONTROL),
@@ -44,9 +45,9 @@ ACTS = (
 )
 SIGNED_OUT = Message("holder_signed_out")
 REQUEST_EVERY_S, MAX_REQUESTS = 10.0, 6
-"""How often control of a bus is requested, and how often at once: each request disturbs a person."""
+"""The rate of requests for control of a bus, and how many at once: each one disturbs a person."""
 AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
-"""Finds the account with a name, and its role; None if there is none."""
+"""A function that finds the account with a name, and its role; None if there is none."""
 
 
 class Safeguards:
@@ -76,7 +77,7 @@ class Safeguards:
         self._requests: defaultdict[str, Bucket] = defaultdict(
             lambda: Bucket(1 / REQUEST_EVERY_S, MAX_REQUESTS)
         )
-        """By account."""
+        """The requests for control, by account."""
         rights.on_withdrawn(self.revoke_control)
 
     async def load(self) -> None:
@@ -101,12 +102,13 @@ class Safeguards:
         return self.restrictions.block(unit)
 
     def read_only(self) -> ReadOnly | None:
-        """Return why commands to the bus are refused, and who set that; None if they are sent."""
+        """Return the read-only mode of the bus, with its reason and who set it; None if commands are
+        accepted."""
         return self.restrictions.read_only(monotonic_now())
 
     def block_reason(self, unit: int, *, slows: bool = False) -> Message | None:
-        """Return why a unit or its bus takes no command, and who set that; None if it does. ``slows``: the
-        command can only make the unit slower, so that a read-only bus takes it."""
+        """Return why a unit or its bus takes no command, and who set that; None if it does. ``slows``:
+        whether the command can only make the unit slower, so that a read-only bus takes it."""
         block = (None if slows else self.read_only()) or self.block_of(unit)
         return None if block is None else Message.of("block_by", reason=block.reason, who=block.set_by)
 
@@ -126,7 +128,7 @@ class Safeguards:
         await self._record(BLOCK, person, before.reason if before else None, reason, unit)
 
     async def lift(self, person: Person, unit: int) -> None:
-        """Free a unit. Does nothing to a unit that is free. Raises Problem 403."""
+        """Lift the block of a unit, if it has one. Raises Problem 403."""
         UNBLOCK.check(person)
         before = self.block_of(unit)
         if before is None:
@@ -147,7 +149,7 @@ class Safeguards:
         await self._record(SET_READ_ONLY, person, before.reason if before else None, new)
 
     async def end_read_only(self, person: Person) -> None:
-        """Let commands through again. Does nothing on a bus that is not read-only. Raises Problem 403."""
+        """Accept commands again. Does nothing on a bus that is not read-only. Raises Problem 403."""
         END_READ_ONLY.check(person)
         before = self.read_only()
         if before is None:
@@ -161,11 +163,11 @@ class Safeguards:
         return self.control.holding(monotonic_now())
 
     def objection(self, account: str) -> Message | None:
-        """Return why ``account`` may not write now, as another has control; None if it may."""
+        """Return why ``account`` may not write now, because another has control; None if it may."""
         return self.control.objection(account, monotonic_now())
 
     def use_control(self, account: str) -> Message | None:
-        """Renew control for a write. Returns why the account may not write, as :meth:`objection` does."""
+        """Renew control for a write. Return why the account may not write, as :meth:`objection` does."""
         return self.control.use(account, monotonic_now())
 
     def holder(self) -> str:
@@ -272,7 +274,7 @@ class Safeguards:
         await self._control_changed(RELEASE_CONTROL, person, person.account, None)
 
     async def revoke_control(self, account: str) -> None:
-        """Free control that the account holds: it is no longer signed in anywhere, or may do less."""
+        """Free control that the account holds, because it is signed in nowhere any more, or may do less."""
         held = self.control.revoke(account, monotonic_now())
         self._publish_control()
         if not held:
@@ -293,7 +295,7 @@ class Safeguards:
             subscriber(unit)
 
     def _publish_read_only(self) -> None:
-        """Show every unit as it is now, and again when the duration of the mode is over."""
+        """Publish every unit's block as it is now, and again when the duration of the mode is over."""
         if self._read_only_ends is not None:
             self._read_only_ends.cancel()
         left_s = self.restrictions.read_only_left_s(monotonic_now())
@@ -310,7 +312,7 @@ class Safeguards:
     async def _control_changed(
         self, act: Act, person: Person, old: str | None, new: str | Message | None
     ) -> None:
-        """Show and record what a person has done with control."""
+        """Publish and record what a person has done with control."""
         self._publish_control()
         await self._record(act, person, old, new)
 

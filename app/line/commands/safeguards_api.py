@@ -1,5 +1,5 @@
-"""Limits, blocks, control and the range of a setpoint over HTTP: what keeps a command from being sent, and
-who set it."""
+"""Limits, blocks, control and the range of a setpoint over HTTP: the restrictions of commands, and who set
+them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LimitSetpoint = Annotated[int, Field(ge=0, le=HIGHEST_SETPOINT)]
 
 
 class SpeedLimits(StrictBody):
-    """All four in raw setpoint units; null or left out: no limit."""
+    """All four limits in raw setpoint units; null or left out: no limit."""
 
     lowest: Annotated[LimitSetpoint | None, Field(description="Lowest setpoint, raw.")] = None
     highest: Annotated[LimitSetpoint | None, Field(description="Highest setpoint, raw.")] = None
@@ -60,7 +60,7 @@ class SpeedLimits(StrictBody):
 
 
 class CommandBlockRequest(StrictBody):
-    """Why the unit must not be commanded."""
+    """A reason to block commands to a unit."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
@@ -68,7 +68,7 @@ class CommandBlockRequest(StrictBody):
 
 
 class ReadOnlyRequest(StrictBody):
-    """Whether any command is sent to a bus."""
+    """A change of the read-only mode of a bus."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
@@ -87,7 +87,7 @@ class ReadOnlyRequest(StrictBody):
 
 
 class HandOverRequest(StrictBody):
-    """Who shall hold control."""
+    """The user who is to hold control."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
@@ -95,7 +95,7 @@ class HandOverRequest(StrictBody):
 
 
 class CommandBlockShown(TypedDict):
-    """Whether commands to a unit are blocked."""
+    """The block of a unit, if commands to it are blocked."""
 
     blocked: bool
     reason: str | None
@@ -104,7 +104,7 @@ class CommandBlockShown(TypedDict):
 
 
 class ReadOnlyShown(TypedDict):
-    """Whether a bus is read-only: commands to its units are refused."""
+    """The read-only mode of a bus, in which commands to it are refused."""
 
     on: bool
     reason: str | None
@@ -114,7 +114,7 @@ class ReadOnlyShown(TypedDict):
 
 
 class ControlRequestShown(TypedDict):
-    """A request for control, also for a minute after its end."""
+    """A request for control, shown for a minute after its end too."""
 
     by: Annotated[str, Field(description="Name of the user or token.")]
     is_token: bool
@@ -123,7 +123,7 @@ class ControlRequestShown(TypedDict):
 
 
 class ControlShown(TypedDict):
-    """Who has control of a line."""
+    """Control of a line: its holder and a request for it."""
 
     required: Annotated[bool, Field(description="Whether commands need control (control in [site]).")]
     lapses_after_s: Annotated[
@@ -192,7 +192,7 @@ async def get_read_only(_: Viewer, guards: Guards) -> ReadOnlyShown:
 async def set_read_only(
     person: Annotated[Person, SET_READ_ONLY.permitted], guards: Guards, body: ReadOnlyRequest
 ) -> ReadOnlyShown:
-    """Refuse every write to this bus, on every interface, or let commands through again."""
+    """Refuse every write to this bus, on every interface, or accept commands again."""
     if body.on:
         await guards.set_read_only(person, body.reason or "", body.minutes)
     else:

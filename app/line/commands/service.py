@@ -1,4 +1,5 @@
-"""Send commands to a worker: each is checked, recorded, sent once, and followed to its result.
+"""The service that sends commands to a worker: each is checked, recorded, sent once, and followed to its
+result.
 
 There is no other path from a request to the wire.
 """
@@ -54,21 +55,21 @@ from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message, joined, listed, parameter_name
 
 _ACTED = ("verified", "acknowledged", "unverified")
-"""Outcomes after which a unit has acted, or may have."""
+"""The outcomes after which a unit has acted, or may have."""
 _RANGE_PASSES = 2
-"""Which parameters bound a setpoint depends on the mode (#8), which may have to be read itself."""
+"""The parameters that bound a setpoint depend on the mode (#8), which may have to be read first."""
 
 MAX_AT_ONCE = 2
-"""Writes of an account that the worker has at a time. It carries them out in the order in which they come."""
+"""The most writes of an account at the worker at a time. It carries them out in the order of arrival."""
 MAX_WAITING = 60
-"""Writes of an account that may wait for that."""
+"""The most writes of an account that wait for their turn."""
 RECHECK_S = 0.25
-"""How often the rights of the sender are looked at: most commands are over by then; a change of the baud rate
-or of many units is not."""
+"""How often the rights of the sender are checked, in seconds: most commands are over by then; a change of the
+baud rate or of many units is not."""
 
 
 BeforeWrite = Callable[[Person, Sequence[int], bool], Awaitable[None]]
-"""Called before each write: by whom, to which units, and whether it writes parameters."""
+"""A function called before each write: who sends it, to which units, whether it writes parameters."""
 
 
 class CommandService:
@@ -119,16 +120,16 @@ class CommandService:
         belongs to its sender: the same id of another sender is another command. It is looked up here, unless
         that was done with :meth:`look_up`.
 
-        ``scales``: what its values were shown and typed with, unless they were given raw; a unit that has
+        ``scales``: those in which its values were shown and typed, unless they were given raw; a unit with
         another scale by now is not written, and the result is *refused*.
 
         ``deadline``: the request's; without one the command may wait as long as its kind takes.
 
-        Raises Problem for a command that is not sent to the worker: 404 for a unit that is not
-        configured, 403 ``forbidden`` for a person without the role of its kind, 403 ``rights_withdrawn`` when
-        the account has lost a right that it had when the person was authenticated, 422 ``invalid``, 409
-        ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``, 503 ``not_sent`` if its deadline
-        has passed. A task of many writes sends each as a command and stops there.
+        Raises Problem for a command that is not sent to the worker: 404 for a unit that is not configured,
+        403 ``forbidden`` for a person without the role of its kind, 403 ``rights_withdrawn`` when the account
+        has lost a right that it had when the person was authenticated, 422 ``invalid``, 409 ``dangerous``,
+        ``confirm_needed`` or ``controlled``, 423 ``blocked``, 503 ``not_sent`` if its deadline has passed. A
+        task of many writes sends each as a command and stops there.
         """
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
@@ -151,8 +152,8 @@ class CommandService:
         return result if id is None else replace(result, id=id)
 
     async def look_up(self, person: Person, id: str) -> CommandKey:
-        """Look up the command that this person has sent with an id, also before a restart. Pass the key to
-        :meth:`send`, which gives the result of that command again."""
+        """Look up the command that this person has sent with an id, even before a restart. Pass the key to
+        :meth:`send`, which returns the result of that command again."""
         return await self._record.look_up(person, id)
 
     async def reserve(self) -> None:
@@ -162,8 +163,8 @@ class CommandService:
         await self._channel.reserve()
 
     async def read_ranges(self, person: Person, action: Action, deadline: Deadline) -> None:
-        """Read what bounds the setpoints of ``action`` if it was never read, as :meth:`send` does. Raises
-        Problem 503 or 504 if it cannot be read in time."""
+        """Read the bounds of the setpoints of ``action`` if they were never read, as :meth:`send` does.
+        Raises Problem 503 or 504 if they cannot be read in time."""
         for _ in range(_RANGE_PASSES):
             missing = self._unread(action)
             if not missing:
@@ -186,8 +187,8 @@ class CommandService:
     async def read(
         self, person: Person, unit: int, numbers: Sequence[int], deadline: Deadline
     ) -> dict[int, int | None]:
-        """Return the raw value of each parameter as the unit gives it now, None if it does not have it.
-        Raises Problem 503 or 504 if one cannot be read in time."""
+        """Return the raw value of each parameter, read now, None if the unit does not have it. Raises Problem
+        503 or 504 if one cannot be read in time."""
         action = ReadParameters(unit=unit, numbers=list(numbers))
         result = await self.send(person, action, deadline=deadline)
         if result.outcome == "bus_closed":
@@ -202,7 +203,7 @@ class CommandService:
         self, person: Person, unit: int, text: str, deadline: Deadline
     ) -> tuple[int, UnitScale]:
         """Convert a typed speed or ratio, or percent of the unit's present setpoint, to the integer on the
-        wire. Returns it with its scale. Raises CallerError for text that is no number."""
+        wire. Return it with its scale. Raises CallerError for text that is no number."""
         live = self._live.units[unit]
         known = await self._known(person, live, (DECIMALS, FOLLOWER_MODE), deadline)
         decimals = known[DECIMALS]
@@ -220,7 +221,7 @@ class CommandService:
     async def convert_parameter(
         self, person: Person, unit: int, number: int, text: str, deadline: Deadline
     ) -> tuple[int, UnitScale]:
-        """Convert a typed value of a parameter to the integer on the wire. Returns it with its scale. Raises
+        """Convert a typed value of a parameter to the integer on the wire. Return it with its scale. Raises
         CallerError for text that is no number."""
         live, parameter = self._live.units[unit], PARAMETERS[number]
         known = await self._known(person, live, _CONVERTED_WITH.get(parameter.scale, ()), deadline)
@@ -237,8 +238,8 @@ class CommandService:
         return known | (await self.read(person, unit.settings.id, missing, deadline) if missing else {})
 
     async def check_for_later(self, person: Person, action: Action, deadline: Deadline) -> None:
-        """Check a command that is gathered now and sent later: its role, ranges and choices. What cannot be
-        read from a unit now is not judged. Raises Problem as :meth:`send` does."""
+        """Check a command that is gathered now and sent later: its role, ranges and choices. Bounds that
+        cannot be read from a unit now are not judged. Raises Problem as :meth:`send` does."""
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
         refuse_without(kind_of_command(action).role, person)
@@ -250,7 +251,7 @@ class CommandService:
         check(action, anytime)
 
     def check(self, person: Person, action: Action, *, confirm: bool = False) -> None:
-        """Check a command as :meth:`send` does, for a review or a page: this does not prolong control. Raises
+        """Check a command as :meth:`send` does, for a review or a page, without prolonging control. Raises
         the same Problems."""
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
@@ -277,7 +278,7 @@ class CommandService:
             raise controlled(Message.of("nothing_sent", reason=reason), self._bus)
 
     def _apply_rules(self, action: Action, confirm: bool) -> None:
-        # A broadcast reaches units of which nothing is known to be staged, too.
+        # A broadcast also reaches units of which nothing is known to be staged.
         slows = kind_of_command(action).only_slows(action, self._live)
         mode = self._guards.read_only() if action.writes and not slows else None
         if mode is not None:
@@ -296,7 +297,7 @@ class CommandService:
         async with self._rejection_recorded(request):
             request.deadline.refuse_passed()
             await self._rights.check(request.person)
-            # Before anything is read for it: a user without the right learns that, not the unit's values.
+            # This comes before anything is read: a user without the right must not learn the unit's values.
             self._require_right(request.person, request.action, self._guards.use_control)
             self.undo.refuse_over(request)
             await self.read_ranges(request.person, request.action, request.deadline)
@@ -304,7 +305,8 @@ class CommandService:
         already = self._record.kept(request.person, request.key)
         if already is not None:
             return already
-        # Noted before another command can be checked: two at once must not both pass the limit of a minute.
+        # This is noted before another command can be checked: two at once must not both pass the minute's
+        # limit.
         steps, at = _steps(request.action, self._live), self._monotonic()
         self._moves.note(steps, at)
         task = asyncio.create_task(self._carry_out(request, steps, at), name=f"command {request.id}")
@@ -362,11 +364,11 @@ class CommandService:
         if link.link == "closed":
             refusal = link.refusal
             return Result(id=request.id, at=unix_now(), outcome="bus_closed", message=refusal)
-        # Storing the intent and what the unit was may have taken a while on a slow disk.
+        # Storing the intent and the former values may have taken a while on a slow disk.
         reason = await self._why_no_longer(request, slows=slows)
         if reason is not None:
             return _not_sent(request, reason)
-        # This clock first: whatever stops this process between the two makes the deadline earlier.
+        # The wall clock goes first: a delay of this process between the two makes the deadline earlier.
         deadline = unix_now() + request.deadline.left_s
         typed = request.scales is not None
         scales = wording_scales(request.action, self._live) if request.scales is None else request.scales
@@ -380,7 +382,7 @@ class CommandService:
         return await self._follow(command, request, slows=slows)
 
     async def _follow(self, command: Command, request: CommandRequest, *, slows: bool) -> Result:
-        """Send a command and return its result. If it may no longer go on, the worker is told once to stop
+        """Send a command and return its result. If it may no longer continue, the worker is told once to stop
         where nothing is half done, and the reason precedes the message of the result."""
         reasons: list[Message] = []
 
@@ -397,9 +399,9 @@ class CommandService:
         return replace(result, message=joined((*reasons, result.message))) if reasons else result
 
     async def _why_no_longer(self, request: CommandRequest, *, slows: bool) -> Message | None:
-        """Return why a command must not be sent, or be given up; None while it may go on. A store that cannot
-        be read now ends nothing that is half done. ``slows``: the command could only make units slower when
-        it was sent."""
+        """Return why a command must not be sent, or be given up; None while it may continue. A store that
+        cannot be read now ends nothing that is half done. ``slows``: whether the command could only make
+        units slower when it was sent."""
         try:
             await self._rights.check(request.person)
         except Problem as problem:
@@ -419,7 +421,7 @@ class CommandService:
 
 @contextmanager
 def _later(seconds: float, work: Callable[[], Coroutine[Any, Any, None]]) -> Iterator[None]:
-    """Begin ``work`` in so many seconds, and cancel it at the end of the context: most never begins."""
+    """Begin ``work`` after so many seconds, and cancel it at the end of the context: most never begins."""
     begun: list[asyncio.Task[None]] = []
     timer = asyncio.get_running_loop().call_later(seconds, lambda: begun.append(asyncio.create_task(work())))
     try:
@@ -438,7 +440,8 @@ _CONVERTED_WITH = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FO
 
 
 class UnreadError(Problem):
-    """What a command needs to know of a unit cannot be read: 503 ``bus_closed`` or 504 ``unverified``."""
+    """Raised when a parameter that a command depends on cannot be read: 503 ``bus_closed`` or 504
+    ``unverified``."""
 
     def result(self, id: str, units: Sequence[int]) -> Result:
         """Return the result of a command for ``units`` of which nothing was sent."""
@@ -454,8 +457,8 @@ def _unread_error(unit: int, numbers: Sequence[int]) -> UnreadError:
 
 
 def check_all_read(unit: int, numbers: Sequence[int], result: Result) -> None:
-    """Raise Problem 504 if the unit did not give all the ``numbers`` that were to be read, 503 if the request
-    did not reach it."""
+    """Raise Problem 504 if the unit did not return all the requested ``numbers``, 503 if the request did not
+    reach it."""
     if len(result.values) < len(numbers):
         status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
         code = result.outcome if status == 503 else "unverified"
@@ -475,14 +478,14 @@ def _steps(action: Action, live: BusLive) -> dict[int, int]:
 
 
 Commands = Annotated[CommandService, bus_service(CommandService)]
-"""Sends commands to ``{bus}`` in the path."""
+"""The service that sends commands to ``{bus}`` in the path."""
 
 
 class RequiresWrite(Requires):
     """A dependency that reserves the next turn of ``{bus}`` in the path for a user with the role.
 
-    Whether the command comes late is judged where it is sent: it may have a timeout of its own, and one that
-    was carried out before gives its result however late it is repeated.
+    The lateness of a command is judged where it is sent: it may have a timeout of its own, and one that was
+    carried out before returns its result however late it is repeated.
     """
 
     async def grant(self, connection: HTTPConnection) -> Person:
@@ -498,7 +501,7 @@ def permitted(kind: CommandKind[Any]) -> Any:
 
 
 ParameterWriter = Annotated[Person, permitted(WRITE_PARAMETER)]
-"""Who may write parameters: of one unit, of many, by a restore or in a unit swap."""
+"""The person who may write parameters: of one unit, of many, by a restore or in a unit swap."""
 
 
 def permitted_writer(kind: CommandKind[Any]) -> Any:

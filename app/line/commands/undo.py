@@ -1,4 +1,4 @@
-"""Undo: what the commands of people changed, and the commands back to what was there before.
+"""Undo: the values that people's commands changed, and the commands that restore them.
 
 The setpoint of a unit, an output, the analog output and a parameter are each one place. A command can be
 undone for a minute, while every value that it set is still there and no newer command of its sender has set
@@ -40,7 +40,7 @@ PlaceKind = Literal["setpoint", "output", "analog", "parameter"]
 
 
 class ValuePlace(NamedTuple):
-    """Where a unit keeps a value. ``number``: of the output or parameter; else 0."""
+    """The place in which a unit keeps a value. ``number``: of the output or parameter; else 0."""
 
     kind: PlaceKind
     unit: int
@@ -48,12 +48,13 @@ class ValuePlace(NamedTuple):
 
 
 Values = Mapping[ValuePlace, int]
-"""Raw; an output is 0 or 1."""
+"""The raw value of each place; an output is 0 or 1."""
 
 
 def values_set(action: Action, bus: BusLive) -> Values | None:
-    """Return what the command sets; None for a command that changes more, or something else. A unit outside
-    a change of several keeps its speed and what it holds staged (``bus/line/commands/staging.py``)."""
+    """Return the values that a command sets; None for a command that changes more, or something else. A unit
+    outside a change of several keeps its speed and what it holds staged
+    (``bus/line/commands/staging.py``)."""
     match action:
         case SetSpeed(unit=unit, raw=raw, execute=True):
             return {ValuePlace("setpoint", unit): raw}
@@ -74,8 +75,8 @@ def values_set(action: Action, bus: BusLive) -> Values | None:
 
 
 def value_now(place: ValuePlace, bus: BusLive, analog: Mapping[int, int]) -> int | None:
-    """Return the value as last read; None while it is not known. ``analog``: what each unit has acknowledged,
-    since the analog output cannot be read."""
+    """Return the value as last read; None while it is not known. ``analog``: the value that each unit has
+    acknowledged, because the analog output cannot be read."""
     unit = bus.units[place.unit]
     match place.kind:
         case "setpoint":
@@ -89,7 +90,7 @@ def value_now(place: ValuePlace, bus: BusLive, analog: Mapping[int, int]) -> int
 
 
 def action_for(values: Values) -> Action:
-    """Return the command that sets these values: several setpoints, or one of anything."""
+    """Return the command that sets these values: several setpoints, or a single value of any kind."""
     if len(values) > 1:
         return SetLine(setpoints={place.unit: raw for place, raw in values.items()})
     ((place, raw),) = values.items()
@@ -119,26 +120,27 @@ MAX_OF_A_SENDER, MAX_SENDERS = 20, 200
 
 @dataclass(frozen=True, slots=True)
 class SentCommand:
-    """A command that was sent. ``new``: what it set; ``before``: what was there. If ``before`` is empty, it
-    is not known: neither this command nor an earlier one of the same values can be undone."""
+    """A command that was sent. ``new``: the values it set; ``before``: the values from before it. If
+    ``before`` is empty, they are unknown: neither this command nor an earlier one of the same values can be
+    undone."""
 
     id: str
     new: Values
     before: Values
     at: Monotonic
     scale: Values = field(default_factory=dict)
-    """The parameters that the values before and after it were shown with: with others the same numbers are
+    """The parameters in which the values before and after it were shown: with others the same numbers are
     other values."""
 
     def ends_at(self) -> Monotonic:
-        """Return when it can no longer be undone."""
+        """Return when the command can no longer be undone."""
         return self.at + LASTS_S
 
 
 @dataclass(slots=True)
 class UndoStack:
     """The commands of each sender to one bus that can be undone, the newest last. Pure: time is passed in.
-    ``holds``: whether these values are all still there."""
+    ``holds``: returns whether these values are all still there."""
 
     holds: Callable[[Values], bool]
     _sent: OrderedDict[str, list[SentCommand]] = field(default_factory=OrderedDict)
@@ -154,7 +156,7 @@ class UndoStack:
             self._sent.popitem(last=False)
 
     def clear(self, sender: str) -> None:
-        """Forget everything that this sender has sent."""
+        """Forget all commands that this sender has sent."""
         self._sent.pop(sender, None)
 
     def undone(self, sender: str, id: str) -> None:
@@ -186,7 +188,7 @@ class UndoStack:
 
 @dataclass(frozen=True, slots=True)
 class UndoOffer:
-    """The undo of a command as a page offers it. ``action``: what it would send; ``href``: its review;
+    """The undo of a command as a page offers it. ``action``: the command to send; ``href``: its review;
     ``text``: what it would set; ``until``: Unix time at which the offer ends."""
 
     id: str
@@ -198,8 +200,8 @@ class UndoOffer:
 
 @dataclass(eq=False, slots=True)
 class _Write:
-    """A write under way: what it sets, what was there just before, and the scale of both. ``alone``: no other
-    write to one of its units was under way, so that the values before it are known."""
+    """A write under way: the values it sets, those just before it, and the scale of both. ``alone``: whether
+    no other write to one of its units was under way, so that the values before it are known."""
 
     units: frozenset[int]
     new: Values
@@ -220,7 +222,7 @@ class Undoing:
         self._stack = UndoStack(lambda values: self._now(values) == values)
 
     def begin(self, request: CommandRequest) -> _Write:
-        """Note what is there before a write is sent."""
+        """Note the values before a write is sent."""
         new = values_set(request.action, self._bus) or {}
         before = self._now(new)
         scale = _parameters(scales_of(action_for(before), self._bus) if before else {})
@@ -234,7 +236,7 @@ class Undoing:
         return write
 
     def end(self, write: _Write, request: CommandRequest, result: Result | None) -> None:
-        """Note what a write has changed; ``result`` None: it was given up."""
+        """Note the values that a write has changed; ``result`` None: it was given up."""
         self._under_way.discard(write)
         if result is None or result.outcome not in ("verified", "acknowledged"):
             return
@@ -249,8 +251,8 @@ class Undoing:
             self._stack.push(sender, SentCommand(request.key, write.new, before, self._clock(), write.scale))
 
     def refuse_over(self, request: CommandRequest) -> None:
-        """Raise Problem 409 for the undo of a command of which something has changed since its review, or
-        that would set something else than what was there before."""
+        """Raise Problem 409 for the undo of a command whose values have changed since its review, or an undo
+        that would set anything but the former values."""
         if not request.undoes:
             return
         sent = self._stack.reviewed(request.person.sender, request.undoes, self._clock())
@@ -267,7 +269,7 @@ class Undoing:
         return self._offered(self._stack.newest(person.sender, self._clock(), units), names_unit=names_unit)
 
     def clear(self, person: Person) -> None:
-        """Offer no undo of anything that this person has sent: the line is set to zero."""
+        """Forget all commands of this person, so that none can be undone: the line is set to zero."""
         self._stack.clear(person.sender)
 
     def _offered(self, sent: SentCommand | None, *, names_unit: bool = False) -> UndoOffer | None:
@@ -279,7 +281,7 @@ class Undoing:
         return UndoOffer(sent.id, action, href, _text(action, self._bus, names_unit=names_unit), until)
 
     def values_now(self, places: Iterable[ValuePlace]) -> dict[ValuePlace, int | None]:
-        """Return the values as last read, or as last acknowledged where nothing can be read; None if not
+        """Return the values as last read, or as last acknowledged if nothing can be read; None if not
         known."""
         analog = {
             unit: raw
@@ -289,7 +291,7 @@ class Undoing:
         return {place: value_now(place, self._bus, analog) for place in places}
 
     def _now(self, places: Values) -> dict[ValuePlace, int]:
-        """Return the values as they are now; empty if one of them is not known."""
+        """Return the present values; empty if one of them is not known."""
         found = self.values_now(places)
         known = {place: raw for place, raw in found.items() if raw is not None}
         return known if len(known) == len(found) else {}
@@ -311,7 +313,7 @@ _OF_UNIT = {
     "undo_analog": "undo_analog_of",
     "undo_parameter": "undo_parameter_of",
 }
-"""The text that names the unit."""
+"""The text that also names the unit."""
 
 
 def _text(action: Action, bus: BusLive, *, names_unit: bool) -> Message:

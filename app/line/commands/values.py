@@ -1,7 +1,7 @@
 """Values as a unit shows them: their text, the scale they depend on, their words in the events. Pure.
 
 The parameters that convert and bound a value are its scale. The keypad of a unit can change them at any time.
-A command therefore carries those that its value was shown with to the worker, which reads them from the unit
+A command therefore carries those in which its value was shown to the worker, which reads them from the unit
 before it writes, and again with the read-back.
 """
 
@@ -93,9 +93,9 @@ def measure_of_value(unit: UnitLive, parameter: Parameter, raw: int) -> str | Me
 
 
 Scales = Mapping[int, UnitScale]
-"""By unit."""
+"""The scale of each unit's value, by unit."""
 
-# The decimals come last: they are then what was read closest to the write, and to the result.
+# The decimals come last, so that they are read closest to the write, and to the result.
 _BOUNDS: dict[SetpointKind, tuple[int, ...]] = {"speed": (MAX_DISPLAY,), "ratio": (MIN_RATIO, MAX_RATIO)}
 _CONVERTS: dict[SetpointKind, tuple[int, ...]] = {
     "speed": (FOLLOWER_MODE, DECIMALS),
@@ -104,7 +104,7 @@ _CONVERTS: dict[SetpointKind, tuple[int, ...]] = {
 _CONVERTS_PARAMETER = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (FOLLOWER_MODE, DECIMALS)}
 _ANALOG_OUTPUT = (ANALOG_OUT_SOURCE, ANALOG_OUT_LOW, ANALOG_OUT_HIGH)
 _NONE = "-"
-"""The text of an empty scale, as an empty field of a form counts as missing."""
+"""The text of an empty scale, because an empty field of a form counts as missing."""
 _TEXT = re.compile(r"-|(?:\d{1,2}:(?:\d{1,10}|none)(?:,(?!$)|$))+", re.ASCII)
 
 
@@ -147,8 +147,8 @@ def scales_of(action: Action, bus: BusLive) -> Scales:
 
 def wording_scales(action: Action, bus: BusLive) -> Scales:
     """Return the parameters that the events need to show the values of a command that was given raw: those
-    that convert, not those that only bound. The worker reads them after the write, which
-    waits for nothing."""
+    that convert, not those that only bound. The worker reads them after the write, which waits for
+    nothing."""
     needed = {FOLLOWER_MODE, DECIMALS} if not isinstance(action, WriteAnalogOutput) else set[int]()
     return {
         unit: {number: raw for number, raw in scale.items() if number in needed}
@@ -169,7 +169,7 @@ def scale_text(scale: UnitScale) -> str:
 
 
 def parse_scale(text: object) -> UnitScale:
-    """Parse the scale in the form of a review. Raises Problem 422 for anything that :func:`scale_text` does
+    """Parse the scale in the form of a review. Raises Problem 422 for any text that :func:`scale_text` does
     not write."""
     if not isinstance(text, str) or _TEXT.fullmatch(text) is None:
         raise Problem(422, "invalid", Message("not_what_was_reviewed"))
@@ -189,8 +189,8 @@ _ON_OFF = (term("off"), term("on"))
 
 @dataclass(frozen=True, slots=True)
 class Wording:
-    """The words of a command in the events: what it is called, its old value as last read, its new value.
-    Texts are empty and integers None where there is no single value."""
+    """The words of a command in the events: its name, its old value as last read, its new value. Texts are
+    empty and integers None if there is no single value."""
 
     what: Message
     old: str | Message = ""
@@ -272,7 +272,7 @@ def _other(words: Wording, now: Wording) -> dict[str, Message]:
 
 
 def wordings_by_unit(what: Message, bus: BusLive, setpoints: Mapping[int, int]) -> dict[int, Wording]:
-    """Word what a change of several means for each unit."""
+    """Word the part of each unit in a change of several."""
     return {unit: setpoint_wording(what, bus, unit, setpoints[unit]) for unit in sorted(setpoints)}
 
 

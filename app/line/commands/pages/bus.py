@@ -88,7 +88,7 @@ async def set_read_only(
 
 @router.post("/bus/{bus}/read-only/end")
 async def end_read_only(person: Annotated[Person, END_READ_ONLY.permitted], page: PageOfBus) -> Response:
-    """Let commands through again; the event records the user."""
+    """Accept commands to this bus again; the event records the user."""
     await page.guards.end_read_only(person)
     return RedirectResponse(f"/bus/{page.name}#read-only", SEE_OTHER)
 
@@ -125,7 +125,7 @@ async def scan(
 
 
 CHANGE_S = 30.0
-"""The time to write every unit, look for it at two rates, and write it back if need be."""
+"""The seconds to write every unit, look for it at two rates, and write it back if need be."""
 
 
 @router.get("/bus/{bus}/baud", dependencies=[permitted(CHANGE_BAUD)])
@@ -144,7 +144,7 @@ async def change_baud(
     baud: Annotated[int, Form()],
     id: Annotated[str, Form(min_length=8, max_length=200)],
 ) -> Response:
-    """Change the baud rate of every unit; a result for each."""
+    """Change the baud rate of every unit, and show a result for each."""
     result = await page.send(ChangeBaud(baud=baud), id, Deadline(page.made_at, CHANGE_S))
     return page.render("bus/_baud_done.html", bus=page.bus, outcome=outcome_text(result), result=result)
 

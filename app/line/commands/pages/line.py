@@ -1,8 +1,8 @@
 """Several units as one change: the setpoints page, and setting the line to zero from any page.
 
 The form of a review of several units holds for each unit ``raw-N``, the new setpoint, ``was-N``, the one that
-the person saw, both raw, the latter empty if it was not known, and ``scale-N``, what both were shown with.
-``leave-out`` are the units that the person leaves out by name, as they cannot take it now.
+the person saw, both raw, the latter empty if it was not known, and ``scale-N``, the scale in which both were
+shown. ``leave-out`` are the units that the person leaves out by name, because they cannot take it now.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ async def typed_setpoints(page: BusPage, form: FormData) -> tuple[dict[int, int]
 async def set_setpoints(
     request: Request, page: Page, bus: Annotated[str, Form()], confirmed: Confirmed
 ) -> Response:
-    """Stage all, require every acknowledgement, broadcast once, read each back: all of them or none."""
+    """Stage all, require every acknowledgement, broadcast once, read each back: all change or none."""
     of_bus, form = page.of_bus(bus), await request.form()
     try:
         is_sent = await of_bus.has_sent(confirmed.id)
@@ -194,7 +194,7 @@ def followers_of(live: BusLive) -> set[int]:
 def proven(
     page: BusPage, setpoints: Mapping[int, int], result: Result, id: str, left_out: Collection[int] = ()
 ) -> Response:
-    """Render the outcome of each unit in floor order, then those that were left out, and the undo of the
+    """Render the outcome of each unit in floor order, then the units that were left out, and the undo of the
     change with this id."""
     by_unit, units = {outcome.unit: outcome for outcome in result.units}, page.bus.units
     proofs: list[tuple[str | Message, str | Message, OutcomeText]] = [
@@ -256,7 +256,7 @@ async def review_zero(person: Viewer, page: Page) -> Response:
 
 
 def _longest_s(bus: BusLive, units: int) -> float:
-    """Return how long it can take: all at once, its withdrawal, and then each alone."""
+    """Return how many seconds it can take: all at once, its withdrawal, and then each alone."""
     return longest_change_s(bus, units) + units * timeout_s_for(bus)
 
 
@@ -287,7 +287,7 @@ async def _zero_bus(page: BusPage, id: str) -> list[ResultRow]:
         for name, reason in plan.left_out
     ]
     proofs = await _zero_units(page, plan, id) if plan.units else []
-    # Again, as this is no command to undo either: one press on Undo would start the line.
+    # Cleared again, because this is no command to undo either: one press on Undo would start the line.
     page.commands.undo.clear(page.person)
     return left_out + proofs
 

@@ -1,4 +1,4 @@
-"""The parameters of a unit: the 40 by what they are for, each changed in place behind a review."""
+"""The parameters of a unit: the 40 in their groups, each changed in place behind a review."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ CONFIRMING_WORD = "WRITE"
 
 @router.get("")
 async def parameters(_: Viewer, page: PageOfUnit) -> Response:
-    """Show all 40 as last read."""
+    """Show all 40 parameters as last read."""
     return page.render("unit/parameters.html", **_table(page))
 
 
 @router.post("/read", dependencies=[permitted(READ_PARAMETERS)])
 async def read_all(page: PageOfUnit) -> Response:
-    """Read all 40 from the unit now."""
+    """Read all 40 parameters from the unit now."""
     action = ReadParameters(unit=page.id, numbers=list(PARAMETERS))
     result = await page.commands.send(page.person, action, origin="page")
     missing = len(PARAMETERS) - len(result.values)
@@ -93,7 +93,7 @@ async def review_value(
     not be sent."""
     parameter = PARAMETERS[number]
     await page.judge(WriteParameter(unit=page.id, number=number, raw=raw))
-    # What the keypad has changed since it was read: old and new are shown, and undo goes back to it.
+    # The keypad may have changed the value since it was read: old and new are shown, and undo restores it.
     with suppress(Problem):
         await page.commands.read(page.person, page.id, [number], page.deadline())
     lowest, highest = parameter_bounds(page.unit, number, page.guards.limits(page.id))
@@ -145,7 +145,7 @@ async def write_parameter(
 
 def _outcome(page: UnitPage, parameter: Parameter, result: Result) -> OutcomeText:
     if parameter.secret and result.outcome == "unverified" and result.message:
-        # Why, in words: the value that was read back is not here.
+        # This gives the reason in words: the value that was read back is not here.
         return OutcomeText("unknown", result.message)
     return outcome_text(result, lambda raw: parameter_message(parameter, raw, page.unit))
 
@@ -155,6 +155,6 @@ def _explain(page: UnitPage, parameter: Parameter, error: CallerError | Problem)
     place = f"#parameter-{parameter.number}-error"
     if nearest is None or parameter.secret:
         return page.explain(error, place)
-    # The rule speaks of raw values; what was typed here is what the unit shows.
+    # The rule names raw values; the value typed here is as the unit shows it.
     shown = parameter_message(parameter, nearest, page.unit)
     return page.explain(Message.of("parameter_out_of_range", value=shown), place, nearest=shown)

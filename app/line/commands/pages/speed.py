@@ -88,7 +88,7 @@ async def set_speed(
 
 
 def _done(page: UnitPage, raw: int, result: Result, id: str) -> Response:
-    # The screen has the commanded speed of a follower, and no ratio to compare with.
+    # The screen has the commanded speed of a follower, but no ratio to compare with.
     reads = "" if follower(page.unit) else f"{page.on_line.key}.commanded"
     return page.result(
         page.outcome(result, page.id),
@@ -110,7 +110,7 @@ async def nudge(
     id: Annotated[str, Form(max_length=64)],
     scale: ReviewedScale,
 ) -> Response:
-    """Send a small step from where the unit is now, or review it if it is larger than allowed without one."""
+    """Send a small step from the unit's present setpoint, or review a step that is larger than allowed."""
     try:
         if page.present is None:
             raise Problem(409, "unknown", Message("setpoint_unknown"))

@@ -1,4 +1,4 @@
-"""What units hold staged: executed as one change, or discarded, from the edge of every page."""
+"""The setpoints that units hold staged: executed as one change, or discarded, from the edge of every page."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ router = APIRouter(prefix="/bus/{bus}/staged", include_in_schema=False, route_cl
 
 @router.get("/review", dependencies=[permitted(EXECUTE_ALL)])
 async def review_staged(page: PageOfBus) -> Response:
-    """Review executing what every unit of the bus holds staged."""
+    """Review executing the staged setpoints of every unit of the bus."""
     try:
         staged = _known_staged(page)
         await page.judge(ExecuteAll())
@@ -46,7 +46,7 @@ async def review_staged(page: PageOfBus) -> Response:
 
 
 def _known_staged(page: BusPage) -> dict[int, int]:
-    """Return the staged setpoints, raw by unit. Raises Problem 409 if there is none, or one is not known."""
+    """Return the staged setpoints, raw by unit. Raises Problem 409 if there is none, or one is unknown."""
     unknown = [number for number, unit in page.bus.units.items() if unit.staged_unknown]
     staged = staged_setpoints(page.bus)
     if unknown:
@@ -71,8 +71,8 @@ async def execute_staged(request: Request, page: PageOfBus, confirmed: Confirmed
 
 
 async def _own_setpoint(page: BusPage, unit: int, deadline: Deadline) -> int:
-    """Return the setpoint of a unit as it is without what it holds staged, read from its parameter where the
-    status shows another value. Raises Problem if it is not known."""
+    """Return the setpoint of a unit without its staged one, read from its parameter if the status shows
+    another value. Raises Problem if it is not known."""
     live = page.bus.units[unit]
     number, raw = setpoint_parameter(live, page.bus), commanded_setpoint(live, page.bus)
     if number is not None:
@@ -84,7 +84,7 @@ async def _own_setpoint(page: BusPage, unit: int, deadline: Deadline) -> int:
 
 @router.post("/discard", dependencies=[permitted(SET_SPEED)])
 async def discard_staged(page: PageOfBus, id: Annotated[str, Form(max_length=64)]) -> Response:
-    """Stage the present setpoint of each unit that holds another one: then nothing is left to execute."""
+    """Stage the present setpoint of each unit that holds another one, so that nothing is left to execute."""
     units = page.bus.units
     held = [number for number, unit in units.items() if unit.staged is not None or unit.staged_unknown]
     kept: list[tuple[str, Message]] = []

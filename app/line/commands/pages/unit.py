@@ -80,7 +80,7 @@ async def set_limits(
 
 
 def _raw(live: UnitLive, text: str) -> int | None:
-    """Parse a limit. Raises CallerError and Problem for what cannot be one."""
+    """Parse a limit. Raises CallerError and Problem for any other text."""
     if not text.strip():
         return None
     decimals = setpoint_decimals(live)
@@ -124,7 +124,7 @@ async def faceplate(_: Viewer, page: PageOfUnit) -> Response:
 
 
 def setting(page: UnitPage) -> dict[str, Any]:
-    """Return the unit, and what its setpoint is set by."""
+    """Return the unit, and the context of the fields for its setpoint."""
     allowed = setpoint_range(page.unit, page.guards.limits(page.id))
     fine, coarse = nudges(page.unit)
     after = page.neighbor(1)
@@ -216,7 +216,7 @@ def review_analog_value(page: UnitPage, raw: int) -> Response:
 async def set_analog(
     page: PageOfUnit, raw: Annotated[int, Form(ge=0)], confirmed: Confirmed, scale: ReviewedScale
 ) -> Response:
-    """Send 88h. The best outcome is acknowledged: there is nothing to read back."""
+    """Send 88h. The best outcome is acknowledged, because nothing can be read back."""
     try:
         result = await page.carry_out(WriteAnalogOutput(unit=page.id, raw=raw), confirmed, {page.id: scale})
     except Problem as problem:
