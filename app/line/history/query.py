@@ -230,8 +230,8 @@ class StoredUnit:
 def stored_unit(
     connection: tables.StoreConnection, tail: Tail, bus: str, number: int, start: int, end: int
 ) -> StoredUnit | None:
-    """Return the sources of a unit over a span, µs; None for a unit without history. Call this before the first
-    read of the store: the tail has to be read before it."""
+    """Return the sources of a unit over a span, µs; None for a unit without history. Call this before
+    the first read of the store: the tail has to be read before it."""
     key = tables.find_unit(connection, bus, number)
     return None if key is None else StoredUnit(connection, key, tail.runs(key, start, end))
 
