@@ -1,4 +1,4 @@
-"""People and time: pages, API, users, history, events. Never imports how bytes travel."""
+"""The side of people and time: pages, API, users, history, events. It never imports how bytes travel."""
 
 from pathlib import Path
 

@@ -75,19 +75,20 @@ CODES: frozenset[str] = frozenset(get_args(ProblemCode))
 
 
 class StoreError(LinesideError):
-    """A store cannot be opened, read or written."""
+    """Raised when a store cannot be opened, read or written."""
 
 
 class DamagedStoreError(StoreError):
-    """SQLite cannot follow the pages of a store, or finds no store in its file."""
+    """Raised when SQLite cannot follow the pages of a store, or finds no store in its file."""
 
 
 class TooCostlyError(StoreError):
-    """A read took longer than one may; it was ended."""
+    """Raised when a read took longer than it may and was ended."""
 
 
 class ConstraintError(LinesideError):
-    """A rule of a table refuses a row: its key is there, or the row never changes. Nothing was stored."""
+    """Raised when a rule of a table refuses a row: the key exists, or the row never changes. Nothing was
+    stored."""
 
 
 def system_error(error: Exception) -> Message:
@@ -99,7 +100,7 @@ class Problem(LinesideError):
     """A refusal that goes to the client: problem+json for programs, a page or a fragment for people.
 
     ``code`` is the kind of reason for programs, ``message`` the reason, ``detail`` its text in English.
-    ``extra`` are members of the response (RFC 9457, 3.2); one of them may be called ``message``, too.
+    ``extra`` are members of the response (RFC 9457, 3.2); one of them may also be called ``message``.
     """
 
     def __init__(self, status: int, code: ProblemCode, message: Message, /, **extra: Any) -> None:
@@ -117,7 +118,7 @@ class Problem(LinesideError):
 
 
 def or_404(found: T | None, code: ProblemCode, message: Message) -> T:
-    """Return what a request names. Raises Problem 404 where it is not there."""
+    """Return ``found``, which a request names. Raises Problem 404 if it is None."""
     if found is None:
         raise Problem(404, code, message)
     return found

@@ -1,4 +1,4 @@
-"""What a feature states of itself, and what it is made in."""
+"""The registration of a feature, and the services that it is made from."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Services(Registry):
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """A part of the app that states itself. ``make`` makes its services from those of earlier features, those
-    of a bus in ``services.buses``, adds each, and adds what each does in the lifespan of the server. ``acts``
-    are what people do by it, named in templates by ``may()``."""
+    """A part of the app that registers itself. ``make`` makes its services from those of earlier features,
+    those of a bus in ``services.buses``, adds each, and adds their works to the lifespan of the server.
+    ``acts`` are the acts of people in it, named in templates by ``may()``."""
 
     make: Callable[[Services], None]
     routers: tuple[APIRouter, ...] = ()

@@ -1,4 +1,5 @@
-"""The app: its features, in the order in which each needs those before it, and what a request passes."""
+"""The app: its features, in the order in which each needs those before it, and the middleware of a
+request."""
 
 from __future__ import annotations
 
@@ -109,12 +110,12 @@ def create_app(
         feature.make(services)
     # A request passes all routes before its own: those of commands are the first.
     for feature in sorted(FEATURES, key=lambda each: each is not commands.FEATURE):
-        # The router of an app would analyze every route again that it includes.
+        # The router of an app would analyze every included route again.
         app.router.routes.extend(route for router in feature.routers for route in router.routes)
     for feature in FEATURES:
         services[Templates].permit({act.name: act.role for act in feature.acts})
     problems.install(app)
-    # What waits for the provider of company accounts takes no turn from the login page.
+    # Requests that wait for the provider of company accounts take no turn from the login page.
     app.add_middleware(AnonymousLimiter, exempt=(HEALTH, CALLBACK))
     app.add_middleware(
         Identify,

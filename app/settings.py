@@ -50,9 +50,9 @@ _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9_-]{1,63}(?:\.[A-Za-z0-9_-]{1,63})*")
 STORE_FILE = "lineside.db"
 """The main store, in the data folder."""
 LOCK_FILE = "lock"
-"""In the data folder; a server has it locked while it runs."""
+"""The lock file in the data folder, which a server has locked while it runs."""
 KEY_SUFFIX = ".audit.key"
-"""``lineside.toml`` has its key in ``lineside.audit.key``."""
+"""The suffix of key files: ``lineside.toml`` has its key in ``lineside.audit.key``."""
 
 
 class Site(StrictModel):
@@ -164,33 +164,33 @@ class Settings(StrictModel):
     opcua: OpcuaSettings | None = None
     peer: Annotated[tuple[PeerSettings, ...], Field(max_length=200)] = ()
     _file: Path | None = PrivateAttr(None)
-    """The configuration file, where it was read from one."""
+    """The configuration file, if it was read from one."""
     _text: str = PrivateAttr("")
     """Its text as it was read."""
 
     @property
     def opcua_address(self) -> tuple[str, int]:
-        """Where OPC UA is served, if it is."""
+        """The address at which OPC UA is served, if it is."""
         wanted = self.opcua or OpcuaSettings()
         return wanted.host or self.server.host, wanted.port
 
     @property
     def page_digest(self) -> str:
-        """Identifies what a page is rendered with and no later message changes: the release, and the site and
-        its units as they are called."""
+        """Identifies the static content of a page: the release, and the names of the site and its units."""
         units = [(bus.name, bus.draw_percent, bus.unit) for bus in self.bus]
         return sha256(repr((VERSION, self.site, units)).encode()).hexdigest()[:16]
 
     @property
     def former_notices(self) -> list[Message]:
-        """What an earlier version used of the file and of the data folder, and what sets nothing now."""
+        """Notices of the parts of the file and the data folder that an earlier version used and that set
+        nothing now."""
         return former_notices(self._text, str(self._file), self.server.data)
 
     @property
     def key_files(self) -> tuple[Path, ...]:
-        """Where the keys of the audit log are or, in this order, may be made. Where none is configured, the
-        place beside the configuration comes first; a service may be unable to write there, and in the end to
-        anything but its data folder."""
+        """The files where the keys of the audit log are or, in this order, may be made. If none is
+        configured, the place beside the configuration comes first; a service may be unable to write there,
+        and in the end to anything but its data folder."""
         if self.audit.key_file is not None:
             return (self.audit.key_file,)
         data = self.server.data
@@ -235,12 +235,12 @@ class Settings(StrictModel):
 
 
 def load(path: Path) -> Settings:
-    """Read the file. Raises ConfigurationError naming file, line and what would be right."""
+    """Read the file. Raises ConfigurationError naming file, line and a correct value."""
     return parse(configuration.read(path), path)
 
 
 def parse(text: str, path: Path) -> Settings:
-    """Return the text of a file, or one that it may become. Raises ConfigurationError."""
+    """Parse the text of a file, or one that it may become. Raises ConfigurationError."""
     written = configuration.parse(text, path, Settings)
     settings = written.in_folder(path.resolve().parent)
     server, key_file = settings.server, settings.audit.key_file

@@ -1,4 +1,4 @@
-"""Which release of Lineside this is: from its git tag, when it was built (hatch_version.py)."""
+"""The release of Lineside: from its git tag, when it was built (hatch_version.py)."""
 
 from importlib.metadata import version
 

@@ -1,1 +1,1 @@
-"""What every feature stands on: store, web, server, texts, help and search."""
+"""The parts on which every feature stands: store, web, server, texts, help and search."""

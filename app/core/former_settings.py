@@ -1,5 +1,5 @@
-"""Keys of lineside.toml that version 0.2 had: they are ignored with a warning, so that no line stops at an
-upgrade. Only a database that has the data of the site is refused."""
+"""Keys of lineside.toml from version 0.2, which are ignored with a warning, so that no line stops at an
+upgrade. Only a configuration whose data is in a database is refused."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from bus.messages import Message
 from bus.settings import FORMER_KEYS_OF_BUS
 
 FORMER_KEYS = {("store",), ("history", "spool_mb"), ("server", "id"), ("server", "home"), ("server", "url")}
-"""Paths of keys and tables."""
+"""The paths of former keys and tables."""
 FORMER_ALARMS = ("store_unavailable", "break_glass_used")
-"""Codes of alarms that there are no more; what a ``[[built_in_alarm]]`` sets of them is ignored."""
+"""Codes of former alarms; settings of them in a ``[[built_in_alarm]]`` are ignored."""
 BREAK_GLASS = "break-glass.json"
-"""Accounts that signed in only while the database of the site was away: none of them does so here."""
+"""The file of accounts that signed in only while the database of the site was away; none does so now."""
 
 
 def former_keys(data: Mapping[str, Any]) -> list[KeyPath]:
@@ -35,14 +35,14 @@ def former_keys(data: Mapping[str, Any]) -> list[KeyPath]:
 
 
 def former_notices(text: str, file: str, folder: Path) -> list[Message]:
-    """Return what an earlier version used of a configuration and of its data folder, and what sets nothing
-    now."""
+    """Return a notice for each part of a configuration and of its data folder that an earlier version used
+    and that sets nothing now."""
     lines = LineNumbers(text)
     notices = [
         Message.of("ignored_key", file=file, line=lines.line_of(path), key=_name(path))
         for path in former_keys(tomllib.loads(text))
     ]
-    # Whether the folder can be used at all is judged by `check` and by the start.
+    # Whether the folder can be used at all is checked by `check` and at the start.
     with suppress(OSError):
         if (accounts := folder / BREAK_GLASS).exists():
             notices.append(Message.of("break_glass_of_former_version", file=str(accounts)))
@@ -55,8 +55,8 @@ def _name(path: KeyPath) -> str:
 
 
 def without_former_keys(data: object) -> object:
-    """Return the configuration without the keys that are ignored. Raises PydanticCustomError where its data
-    is in a database: a server that began beside it would look like one that has lost everything."""
+    """Return the configuration without the keys that are ignored. Raises PydanticCustomError if its data is
+    in a database: a server that began beside it would look like one that has lost everything."""
     if not isinstance(data, dict):
         return data
     if isinstance(store := data.get("store"), dict) and store.get("url"):

@@ -1,7 +1,7 @@
-"""The lifespan of the server: parts start in order and end in reverse order, each even where another fails.
+"""The lifespan of the server: parts start in order and end in reverse order, each even if another fails.
 
-Works run as tasks of their own, not in a TaskGroup: one that fails is started again and never ends the
-others. A blocking call may run in a thread that ends with the process.
+Works run as tasks of their own, not in a TaskGroup: one that fails is restarted and never ends the others. A
+blocking call may run in a thread that ends with the process.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bus.messages import Message
 
 RESTART_AFTER_S = 1.0
 MAX_FINISH_S = 1.0
-"""How long the end of the server waits for all backlogs to be written."""
+"""The seconds that the end of the server waits for all backlogs to be written."""
 CANCEL_AGAIN_S = 0.5
 Step = Callable[[], Awaitable[object]]
 Running = Callable[[], Coroutine[Any, Any, None]]
@@ -30,7 +30,7 @@ log = structlog.get_logger()
 
 
 class StartError(LinesideError):
-    """A part of the server could not start; the message names it."""
+    """Raised when a part of the server could not start; the message names the part."""
 
 
 class Lifespan:
@@ -50,12 +50,10 @@ class Lifespan:
         finish: Step | None = None,
         end: Step | None = None,
     ) -> None:
-        """Add what a service does; its errors are logged with ``name``. ``works`` run from the last start to
-        the end and are restarted when they fail; ``once`` runs beside them and is not restarted.
-
+        """Add the works of a service; their errors are logged with ``name``. ``works`` run from the last
+        start to the end and are restarted when they fail; ``once`` runs beside them and is not restarted.
         ``finish`` waits, while the works still run, until they have written their backlog. ``end`` is called
-        after the works, if the part has started; parts that were added earlier still run then.
-        """
+        after the works, if the part has started; parts that were added earlier still run then."""
         self._parts.append((name, start, end))
         self._works += [partial(_restarted, name, work) for work in works]
         if once is not None:
@@ -156,9 +154,9 @@ T = TypeVar("T")
 
 
 async def in_thread(work: Callable[[], T], *, stop: Callable[[], None] | None = None) -> T:
-    """Return what ``work`` returns. ``stop`` is called when the wait for it is canceled, and has to make it
-    return. A thread that hangs in spite of that is abandoned: it delays neither the loop nor the end of the
-    process, as a thread of a pool would."""
+    """Run ``work`` in a thread of its own and return its result. ``stop`` is called when the wait is
+    canceled, and has to make it return. A thread that hangs nevertheless is abandoned: it delays neither the
+    loop nor the end of the process, as a thread of a pool would."""
     done: Future[T] = Future()
     done.set_running_or_notify_cancel()
 

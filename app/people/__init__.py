@@ -1,1 +1,1 @@
-"""Who uses the site, and what they did."""
+"""The people of the site, and what they did."""

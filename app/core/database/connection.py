@@ -1,4 +1,4 @@
-"""Connections to a store, one that writes and those that only read, and what queries have in common."""
+"""Connections to a store, one that writes and those that only read, and SQL that queries share."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ StoreConnection = sqlite3.Connection
 StoreRow = sqlite3.Row
 Synchronous = Literal["FULL", "NORMAL"]
 CACHE_KIB = 256
-"""What a connection that reads keeps of its store. There are a dozen; SQLite would give each 2 MiB, and the
-system has the pages of the file in memory anyway."""
+"""The KiB of its store that a reading connection caches. There are a dozen connections; SQLite would give
+each 2 MiB, and the system caches the pages of the file anyway."""
 STEPS = 20_000
 """Steps of SQLite between two checks of the clock: a few milliseconds."""
 BUSY_S = 5.0
@@ -35,12 +35,12 @@ def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.C
     make_file(path)
     connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     _set_factories(connection)
-    # Takes effect in a new store only.
+    # This takes effect in a new store only.
     connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute(f"PRAGMA synchronous = {synchronous}")
     connection.execute("PRAGMA foreign_keys = ON")
-    # Temporary files of statements would need a disk with space.
+    # Temporary files of statements would need a disk with free space.
     connection.execute("PRAGMA temp_store = MEMORY")
     return connection
 
@@ -53,14 +53,14 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 
 
 def open_unchanged(path: Path) -> sqlite3.Connection:
-    """Open a connection that reads and leaves no file, also on a read-only disk: for a reader alone SQLite
+    """Open a connection that reads and leaves no file, even on a read-only disk: for a reader alone SQLite
     would make a log and its index. Raises StoreError for a link."""
     log, shared = (path.with_name(path.name + companion) for companion in ("-wal", "-shm"))
     if not log.exists():
         return _opened(path, "mode=ro&immutable=1")
     if shared.exists():
         return _opened(path, "mode=ro")
-    # A copy, or what a power failure left: no process has it open. The index of the log is made in memory.
+    # This is a copy, or left by a power failure: no process has it open. The log's index is made in memory.
     connection = _opened(path, "mode=ro&vfs=unix-none")
     connection.execute("PRAGMA locking_mode = EXCLUSIVE")
     return connection
@@ -76,13 +76,13 @@ def _opened(path: Path, how: str) -> sqlite3.Connection:
 
 def _set_factories(connection: sqlite3.Connection) -> None:
     connection.row_factory = sqlite3.Row
-    # SQLite stores any bytes as text: one row that is no UTF-8 must not make all others unreadable.
+    # SQLite stores any bytes as text: one row that is not UTF-8 must not make all others unreadable.
     connection.text_factory = partial(str, encoding="utf-8", errors="replace")
 
 
 @contextmanager
 def examining(store: Path) -> Iterator[sqlite3.Connection]:
-    """Read a store and leave no file beside it. Raises StoreError in words."""
+    """Read a store and leave no file beside it. Raises StoreError, which has the fault in words."""
     with in_words(store), closing(open_unchanged(store)) as connection:
         yield connection
 
@@ -111,7 +111,7 @@ def snapshot(connection: sqlite3.Connection) -> Iterator[None]:
 
 
 def json_member(column: str, path: str) -> str:
-    """Return SQL for the text at a path of a JSON column, such as ``what.code``; NULL if it is no JSON."""
+    """Return SQL for the text at a path of a JSON column, such as ``what.code``; NULL if it is not JSON."""
     return f"CASE WHEN json_valid({column}) THEN CAST(json_extract({column}, '$.{path}') AS TEXT) END"
 
 
@@ -153,7 +153,7 @@ def stored_messages(messages: Sequence[Message]) -> str:
 
 
 def messages_of(text: str) -> list[Message]:
-    """Return the messages of a column; a text that holds none, which nothing here writes, becomes one."""
+    """Return the messages of a column; a text without any, which nothing here writes, becomes one message."""
     try:
         return _DECODER.decode(text)
     except (msgspec.MsgspecError, UnicodeError, RecursionError):

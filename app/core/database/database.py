@@ -35,11 +35,9 @@ COSTLY_S = 3.0
 
 class Database:
     """A store in a file. Opening it brings it up to date, and raises StoreError if it cannot be used.
-
     ``checkpoints`` False: another process, which may have the store open, does that (SQLite 3.40 can lose
     writes when two connections reset the WAL). ``reserve``: disk space that its transactions may use up.
-    ``migrated``: the steps that opening took.
-    """
+    ``migrated``: the steps that opening took."""
 
     def __init__(
         self,
@@ -126,7 +124,7 @@ class Database:
 
 
 class Tables:
-    """Some tables of a database; the methods of a subclass are their queries."""
+    """Base of classes for some tables of a database; the methods of a subclass are their queries."""
 
     def __init__(self, database: Database) -> None:
         self.database = database
@@ -138,7 +136,7 @@ QueryCall = Callable[Concatenate[TablesT, P], Coroutine[Any, Any, T]]
 
 
 def reading(query: Query[TablesT, P, T]) -> QueryCall[TablesT, P, T]:
-    """Run the query in a thread, on a connection that cannot write."""
+    """Make a query run in a thread, on a connection that cannot write."""
 
     @wraps(query)
     async def call(tables: TablesT, /, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -148,7 +146,7 @@ def reading(query: Query[TablesT, P, T]) -> QueryCall[TablesT, P, T]:
 
 
 def writing(query: Query[TablesT, P, T]) -> QueryCall[TablesT, P, T]:
-    """Run the query as one transaction on the writer's thread; it is on disk when the call returns."""
+    """Make a query run as one transaction on the writer's thread; it is on disk when the call returns."""
 
     @wraps(query)
     async def call(tables: TablesT, /, *args: P.args, **kwargs: P.kwargs) -> T:

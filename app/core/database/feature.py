@@ -1,4 +1,4 @@
-"""The main store, and the space that is kept for it."""
+"""The main store, and the disk space that is kept for it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from app.feature import Feature, Services
 
 
 def make(services: Services) -> None:
-    """Open the store, which is closed last, once an event states that the server ended. Raises StoreError."""
+    """Open the store, which closes last, after the event of the server's end. Raises StoreError."""
     server, lifespan = services.settings.server, services.lifespan
     make_private(server.data)
     reserve = services.add(Reserve(server.data))

@@ -31,18 +31,18 @@ _MEANINGS: dict[int, Message] = {
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 FOLDER_MODE, FILE_MODE = 0o700, 0o600
 OTHERS = 0o077
-"""Every right of the group and of others."""
+"""The mode bits of every right of the group and of others."""
 WRITABLE_BY_OTHERS = 0o022
 CODE = "compiled"
-"""The folder of compiled templates, which are executed: it is emptied if others could have written to it."""
+"""The folder of compiled templates, which are executed: it is emptied if others could have written there."""
 log = structlog.get_logger()
 FILE = "reserve"
 SIZE = 64_000_000
-"""A day with a command each 4 s: one with its result takes 2.6 kB."""
+"""The bytes for a day with a command each 4 s: one with its result takes 2.6 kB."""
 MIN_FREE = 2_000_000
-"""Free bytes before a transaction: its rows, the store's write-ahead log and the checkpoint of both."""
+"""The bytes free before a transaction: for its rows, the store's write-ahead log and the checkpoint."""
 MIN_FREE_OF_OTHERS = 100_000_000
-"""Free bytes below which only the main store is written: neither readings nor pictures."""
+"""The free bytes below which only the main store is written: neither readings nor pictures."""
 
 
 @contextmanager
@@ -133,7 +133,8 @@ def make_private(folder: Path) -> None:
     """
     with in_words(folder):
         make_folder(folder)
-        # From the top down: once a folder is restricted, no other user can put a link where a file was.
+        # It goes from the top down: once a folder is restricted, no other user can put a link where a file
+        # was.
         was_open = restrict(folder) & WRITABLE_BY_OTHERS
         code = folder / CODE
         if code.is_dir() and not code.is_symlink() and (was_open or _others_can_write(code)):
@@ -170,7 +171,7 @@ def _others_can_write(folder: Path) -> bool:
 
 
 def free_bytes(folder: Path) -> int:
-    """Return how many bytes this user may still write there."""
+    """Return how many bytes this user may still write on the disk of a folder."""
     found = os.statvfs(folder)
     return found.f_bavail * found.f_frsize
 
@@ -207,8 +208,8 @@ class Reserve:
 
     @property
     def notice(self) -> Message | None:
-        """Return the notice that a disk is short and some of the space is used up or was never there; else
-        None."""
+        """Return the notice that a disk is short of space while some of the reserve is used up or was never
+        there; else None."""
         if self.left == 1.0 or not self._is_short:
             return None
         return Message.of("reserve_in_use", percent=round(100 * self.left))
@@ -220,7 +221,7 @@ class Reserve:
                 self._path.unlink(missing_ok=True)
 
     def _make(self, held: int, size: int) -> None:
-        """Allocate what is missing of ``size``; a file with holes would hold no space."""
+        """Allocate the missing part of ``size``; a file with holes would hold no space."""
         if held >= size or not self._to_make:
             return
         try:

@@ -1,5 +1,5 @@
-"""What opening a store needs: whether it is there and may be used, and the numbered steps, forward only and
-after a copy, that bring it up to date."""
+"""The opening of a store: whether it exists and may be used, and the numbered steps, forward only and after a
+copy, that bring it up to date."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ CREATE TABLE IF NOT EXISTS migrations (
 COPYING = "copying"
 """The table of a store that the ``lineside migrate-store`` of version 0.2 has not copied completely."""
 CopyKind = Literal["before", "damaged"]
-"""Copies beside a store: made before a step to a newer version; put aside because pages were damaged."""
+"""Kinds of copies beside a store: from before a step to a newer version; set aside with damaged pages."""
 MAX_COPIES = 2
-"""How many copies of each kind stay."""
+"""The number of copies of each kind that stay."""
 COMPANIONS = ("-wal", "-shm")
-"""Suffixes of the files that SQLite has beside a store in WAL mode."""
+"""The suffixes of the files that SQLite has beside a store in WAL mode."""
 log = structlog.get_logger()
 
 
 @dataclass(frozen=True)
 class Migration:
-    """One step forward."""
+    """One numbered step of a store to a newer version."""
 
     number: int
     name: str
@@ -174,7 +174,7 @@ Presence = Literal["sound", "missing", "empty", "damaged"]
 
 def refusal_to_start(store: Path, presence: Presence, key: Path | None, *, new: bool) -> Message | None:
     """Return why a server does not start on a store, None if it may. ``key``: the key file of its audit log
-    if it exists, which is made together with the store; ``new``: a new site is wanted. Pure."""
+    if it exists, which is made together with the store; ``new``: whether a new site is wanted. Pure."""
     match presence:
         case "sound":
             return Message.of("store_not_new", path=str(store)) if new else None
@@ -187,7 +187,7 @@ def refusal_to_start(store: Path, presence: Presence, key: Path | None, *, new: 
 
 
 def presence_of(store: Path) -> Presence:
-    """Look whether a store is there; nothing is created. Raises StoreError if that fails."""
+    """Return whether a store is there, and in which state; nothing is created. Raises StoreError."""
     try:
         with in_words(store):
             if not store.exists():

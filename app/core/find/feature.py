@@ -1,4 +1,5 @@
-"""Finds pages, actions and what other features add: a list below the field of each page, and a page."""
+"""The search of pages, actions and more that features add: a list below the field of each page, and a
+page."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ ACTIONS = (
 async def find_page(
     request: Request, person: Viewer, typed: Typed = "", near: Near = "", part: bool = False
 ) -> Response:
-    """Show what the typed text finds. ``part``: only the list."""
+    """Show the results for the typed text. ``part``: only the list."""
     templates = templates_of(request)
     language = templates.language_of(request)
     may = partial(templates.may, person)

@@ -1,5 +1,5 @@
-"""What can be found: each feature adds finders of its things, and all look together. Names are matched
-without case, accents and order of words."""
+"""The finders of the search: each feature adds those of its things, and all search together. Names are
+matched without case, accents and order of words."""
 
 from __future__ import annotations
 
@@ -60,14 +60,14 @@ def _found(word: str, name: str) -> int | None:
 
 
 MAX_OF_KIND = 6
-"""How many things of a kind are shown, the best of them."""
+"""The most results of one kind that are shown, the best of them."""
 Text = str | Message
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What a person looks for. ``may``: whether this person may perform an act; ``near``: the path of the
-    page where it was typed, whose unit comes first."""
+    """The search of a person. ``may``: whether this person may perform an act; ``near``: the path of the page
+    where it was typed, whose unit comes first."""
 
     typed: str
     language: Language
@@ -81,8 +81,8 @@ class Search:
 
 
 class FoundPlace(NamedTuple):
-    """A thing that was found. ``label`` names it, ``detail`` says what or where it is; ``rank``: 0 is the
-    best. ``is_name``: a person wrote the label, in any script."""
+    """A thing that was found. ``label`` names it, ``detail`` states what or where it is; ``rank``: 0 is the
+    best. ``is_name``: whether a person wrote the label, in any script."""
 
     label: Text
     href: str
@@ -95,8 +95,8 @@ Finder = Callable[[Search], Awaitable[Iterable[FoundPlace]]]
 
 
 class FixedPlace(NamedTuple):
-    """A page or an action at a fixed address. ``act``: what a person must be permitted to do; ``words``: the
-    code of more words that find it."""
+    """A page or an action at a fixed address. ``act``: the act that a person must be permitted; ``words``:
+    the code of more words that find it."""
 
     label: Message
     href: str
@@ -112,7 +112,7 @@ class FoundKind(NamedTuple):
 
 
 class Finders:
-    """All finders, by the kind of what they find, in the order in which kinds are shown."""
+    """All finders by the kind of their results, in the order in which kinds are shown."""
 
     def __init__(self) -> None:
         self._finders: dict[str, list[Finder]] = {}
@@ -130,7 +130,7 @@ class Finders:
         self.add(kind, find)
 
     async def find(self, search: Search) -> list[FoundKind]:
-        """Return what ``search`` finds; nothing for a text without a letter or digit."""
+        """Return the results of ``search``; nothing for a text without a letter or digit."""
         if not search.words:
             return []
         found = []

@@ -47,7 +47,7 @@ class CallMember:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A call of the API. ``responses``: what they mean, by status; ``sent``, ``received``: examples of its
+    """A call of the API. ``responses``: their meanings, by status; ``sent``, ``received``: examples of its
     body and its response, empty without one. ``can_open``: whether a browser can open it without a
     parameter."""
 
@@ -105,7 +105,7 @@ def _responses(operation: Mapping[str, Any]) -> Iterator[tuple[str, Markup]]:
 
 
 def _example(message: Mapping[str, Any]) -> str:
-    """Return the example of a request or response in the first of its media types: JSON in lines, or the
+    """Return the example of a request or response in the first of its media types: indented JSON, or the
     text."""
     content: Mapping[str, Any] = next(iter(message.get("content", {}).values()), {})
     example = content.get("example", "")
@@ -155,7 +155,7 @@ TypedHelp = Annotated[OneLine, Query(max_length=80)]
 
 @router.get("/help", dependencies=[SEARCH])
 async def help_page(request: Request, _: Viewer, typed: TypedHelp = "") -> Response:
-    """Show the list of the chapters, or what the typed words find in them."""
+    """Show the list of the chapters, or the sections that match the typed words."""
     handbook, language = service_of(request, Handbook), _language(request)
     groups, hits = await parse_apart(
         lambda: (_chapters_by_group(handbook, language), handbook.search(typed, language))
@@ -184,13 +184,13 @@ async def picture(request: Request, _: Viewer, name: str) -> Response:
 
 @router.get("/help/legend")
 async def legend(request: Request, _: Viewer, part: bool = False) -> Response:
-    """Show what the marks mean. ``part``: only the content of the drawer."""
+    """Show the meaning of the marks. ``part``: only the content of the drawer."""
     return render(request, "help/legend.html", part=part)
 
 
 @router.get("/help/{name:path}")
 async def chapter_page(request: Request, _: Viewer, name: str) -> Response:
-    """Show one chapter, in the language of the reader if it is written in it."""
+    """Show one chapter, in the language of the reader if it exists in that."""
     chapter = BY_NAME.get(name)
     if chapter is None:
         raise Problem(404, "not_found", Message("no_such_page"))
@@ -204,7 +204,7 @@ async def chapter_page(request: Request, _: Viewer, name: str) -> Response:
 
 @router.get("/docs")
 async def api_reference(request: Request, _: Viewer) -> Response:
-    """Show every call of the API, with what it takes and returns."""
+    """Show every call of the API, with its parameters and its response."""
     return render(request, "help/api.html", tags=await parse_apart(partial(_calls_by_tag, request.app)))
 
 

@@ -1,8 +1,8 @@
 """The chapters of the handbook, and their HTML: links between files become links between pages, and each
 section can be found.
 
-Each chapter is a Markdown file of docs/, which the repository shows as well as the page *Help*. What renders
-Markdown is imported with the first page of the handbook, as most servers never show one.
+Each chapter is a Markdown file of docs/, which the repository shows as well as the page *Help*. The Markdown
+library is imported with the first page of the handbook, because most servers never show one.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ LEARN, DO, LOOK_UP, UNDERSTAND = (
 
 @dataclass(frozen=True, slots=True)
 class Chapter:
-    """``file``: below docs/; ``group``: its part of the list; ``languages``: those in which it is written
-    besides English, each as a file ``name.LANGUAGE.md``."""
+    """A chapter. ``file``: below docs/; ``group``: its part of the list; ``languages``: those in which it is
+    written besides English, each as a file ``name.LANGUAGE.md``."""
 
     file: str
     group: Message
@@ -54,7 +54,7 @@ class Chapter:
 
 GERMAN = ("de",)
 WITH_A_PAGE = ("operator", "electrician", "engineer", "administrator")
-"""Roles that have a chapter of one page to print."""
+"""The roles that have a chapter of one page to print."""
 CHAPTERS = (
     Chapter("guide/tutorial.md", LEARN),
     Chapter("guide/operator.md", LEARN, GERMAN),
@@ -95,7 +95,7 @@ BY_FILE = {name: chapter for chapter in CHAPTERS for name in (chapter.file, *map
 MAX_FOUND = 20
 ENGLISH = "en"
 AROUND = 80
-"""Characters of a section that are shown before and after what was found."""
+"""The characters of a section that are shown before and after the first match."""
 _PICTURES = "pictures/"
 FITTED = (
     ("<pre>", '<pre tabindex="0">'),
@@ -103,8 +103,8 @@ FITTED = (
     ("</table>", "</table></div>"),
     ("<th></th>", "<td></td>"),
 )
-"""Replacements in the HTML: what may be wider than a phone scrolls, and the keyboard reaches it; a column
-without a heading has none to read out."""
+"""Replacements in the HTML: content wider than a phone scrolls, and the keyboard reaches it; a column without
+a heading has none to read out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ class Rendered:
 
 @dataclass(frozen=True, slots=True)
 class Hit:
-    """A section that has all words of a search, and the part of its text around the first."""
+    """A section with all words of a search, and the part of its text around the first word."""
 
     section: HelpSection
     excerpt: str
@@ -155,7 +155,7 @@ class Handbook:
         return render(chapter, text, posixpath.dirname(file), [section.anchor for section in english])
 
     def _titles(self, language: str) -> list[tuple[Chapter, str]]:
-        """Return each chapter with its title: the first line of its file, which is not rendered."""
+        """Return each chapter with its title, the first line of its file, which is not rendered."""
         found = []
         for chapter in CHAPTERS:
             with (self._folder / chapter.file_in(language)).open(encoding="utf-8") as file:
@@ -168,7 +168,7 @@ class Handbook:
         return path if re.fullmatch(r"[\w-]+\.png", name) and path.is_file() else None
 
     def search(self, typed: str, language: str) -> list[Hit]:
-        """Return the sections with all of these words, those that have them in their title first."""
+        """Return the sections with all of these words, those with all of them in the title first."""
         words = typed.casefold().split()
         if not words:
             return []
@@ -180,7 +180,7 @@ class Handbook:
 
 def render(chapter: Chapter, text: str, folder: str, anchors: Sequence[str] = ()) -> Rendered:
     """Render a chapter from its Markdown. ``folder``: that of its file below docs/, from which its links
-    lead. ``anchors``: those of its headings, if they are not made from their words."""
+    lead. ``anchors``: those of its headings, unless they are made from their words."""
     from markdown_it import MarkdownIt
 
     parser = MarkdownIt("commonmark", {"html": False}).enable("table")
@@ -231,7 +231,7 @@ def _sections(chapter: Chapter, tokens: Sequence[Any], anchors: Iterator[str]) -
 
 
 def _lead(token: Any, folder: str) -> None:
-    """Lead a link to a chapter to its page, one to another file nowhere: a wheel does not have it."""
+    """Point a link to a chapter to its page; remove the target of a link to a file, which a wheel lacks."""
     href = str(token.attrGet("href"))
     parts = urlsplit(href)
     if parts.scheme or parts.netloc:

@@ -30,21 +30,21 @@ UTC = "UTC"
 LOCALTIME = Path("/etc/localtime")
 _FOLDER = "/zoneinfo/"
 _SAME_ZONES = "posix/"
-"""A folder with every zone a second time."""
+"""A folder that holds every zone a second time."""
 _NOT_IANA = frozenset({"", "localtime", "posixrules", "Factory"})
 """Files of a zoneinfo folder that are no zones of the IANA list: browsers refuse their names."""
 
 
 @cache
 def machine_zone() -> str:
-    """Return the IANA name of the zone that the machine is set to (TZ, /etc/localtime, /etc/timezone); UTC
-    where it has none that is in the list, such as a TZ of POSIX rules. Read once: a server keeps its zone."""
+    """Return the IANA name of the machine's time zone (TZ, /etc/localtime, /etc/timezone), or UTC if it has
+    none from the list, such as a TZ of POSIX rules. This is read once: a server keeps its zone."""
     try:
         found = get_localzone()
-        # Where pytz is installed, which asyncua needs, it is a zone of that: "local" by its file.
+        # If pytz is installed, which asyncua needs, it is a zone of that: "local" by its file.
         name = getattr(found, "key", None) or getattr(found, "zone", None)
         if name in (None, "local"):
-            # The name of a zone by where its file is: …/zoneinfo/Europe/Berlin.
+            # The path of its file gives the name of a zone: …/zoneinfo/Europe/Berlin.
             file = Path(os.environ.get("TZ", "").removeprefix(":") or LOCALTIME)
             name = str(file.resolve()).partition(_FOLDER)[2]
     except (LookupError, ValueError, OSError):
@@ -79,11 +79,11 @@ _UNUSED = (
 
 @cache
 def locale_of(name: str) -> Locale:
-    """Return the locale of a name such as ``en_GB``, without what Babel keeps of two locales in 4.7 MiB:
+    """Return the locale of a name such as ``en_GB``, without 4.7 MiB that Babel keeps of two locales:
     currencies, units, territories, and which language is likely where. Raises babel.UnknownLocaleError, and
-    ValueError for what is no name."""
+    ValueError for a text that is no name."""
     locale = Locale.parse(name)
-    _ = locale.number_symbols  # it is read here, and the locale keeps it
+    _ = locale.number_symbols  # It is read here, and the locale keeps it.
     data = localedata.load(str(locale))
     for each in _UNUSED:
         data.pop(each, None)
@@ -166,7 +166,7 @@ class Language:
 
     @cached_property
     def on_screen(self) -> Language:
-        """This language for pages, and for what a script shows on them."""
+        """This language for pages, and for texts that a script shows on them."""
         return _OnScreen(self)
 
     def template(self, code: str, n: object) -> str | None:
@@ -202,7 +202,7 @@ class Language:
 
 FIRST_STRONG_ISOLATE, POP_DIRECTIONAL_ISOLATE = "\u2068", "\u2069"
 """Characters around a text whose own letters decide its direction, as ``<bdi>`` does (Unicode Annex 9). They
-work in titles, in attributes and in what a script shows, too."""
+also work in titles, in attributes and in texts that a script shows."""
 _FROM_RIGHT_TO_LEFT = frozenset(("R", "AL"))
 
 
@@ -225,12 +225,12 @@ class _OnScreen(Language):
 
 
 DIGEST_BYTES = 32
-"""Length of the digest of the source, which stands before the catalog compiled from it."""
+"""The length of the digest of the source, which precedes the catalog compiled from it."""
 
 
 def compiled(path: Path, kept_in: Path | None) -> gettext.GNUTranslations:
     """Return the catalog of a ``.po`` file. Parsing one takes a tenth of a second, so the result is kept in
-    ``kept_in`` until the file changes. A folder that cannot be written costs that time and nothing else."""
+    ``kept_in`` until the file changes. If that folder cannot be written, each start takes that time."""
     source = path.read_bytes()
     digest = hashlib.sha256(source).digest()
     kept = kept_in / f"{path.stem}.mo" if kept_in is not None else None
@@ -263,7 +263,7 @@ def _parsed(source: bytes, locale: str) -> bytes:
 DEFAULT = "en"
 FOLDER = Path(__file__).parent
 MAX_HEADER = 400
-"""Characters of Accept-Language that are read; browsers send a dozen tags at most."""
+"""The most characters of Accept-Language that are read; browsers send a dozen tags at most."""
 
 
 class Languages:
@@ -299,7 +299,7 @@ def catalogs(folder: Path = FOLDER) -> dict[str, Path]:
 
 
 _language = cache(Language)
-"""Returns one language for each file, so that a catalog is read once in a process."""
+"""A function that returns one language for each file, so that a process reads a catalog only once."""
 
 
 def _by_preference(accept_language: str) -> list[str]:

@@ -1,7 +1,7 @@
 """Network addresses as limits and logs see them, and the client of a request behind proxies.
 
-X-Forwarded-For, -Proto and -Host are believed of trusted proxies only: the address reaches the audit log and
-the limits of sign-ins.
+X-Forwarded-For, -Proto and -Host are believed from trusted proxies only: the address reaches the audit log
+and the limits of sign-ins.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ Address = IPv4Address | IPv6Address
 Network = IPv4Network | IPv6Network
 
 SUBNET_BITS = 64
-"""Prefix of an IPv6 subnet, which one subscriber or one machine has at least (RFC 6177, 2)."""
+"""The prefix of an IPv6 subnet, which one subscriber or one machine has at least (RFC 6177, 2)."""
 MAX_REMEMBERED = 1024
 MAX_HOPS = 20
 MAX_UNDER_WAY = 200
-"""Requests of one address behind a proxy; all browsers of a plant may have one."""
+"""The most requests of one address behind a proxy; all browsers of a plant may share one."""
 _PORT = re.compile(r"(?:\[(?P<v6>[^\]]*)\]|(?P<v4>[^:]*))(?::\d{1,5})?")
 _HOST = re.compile(r"[A-Za-z0-9._-]{1,253}(?::\d{1,5})?|\[[0-9A-Fa-f:.]{2,45}\](?::\d{1,5})?")
 _SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
 
 
 def _parse_address(text: str) -> Address | None:
-    """Parse an address; an IPv4 address also as a dual-stack socket writes it, ``::ffff:10.0.0.5``."""
+    """Parse an address; an IPv4 address also in the form of a dual-stack socket, ``::ffff:10.0.0.5``."""
     try:
         address = ip_address(text)
     except ValueError:
@@ -75,7 +75,7 @@ def origin_of(peer: str, headers: Headers, trusted: Collection[Network]) -> Orig
     """Return the client of a request. ``peer``: the other end of the connection, believed only if it is
     ``trusted``.
 
-    Each proxy appends the address of its client, so the right-most address that is no trusted proxy is the
+    Each proxy appends the address of its client, so the right-most address that is not a trusted proxy is the
     client's; anything to the left of it can be made up.
     """
     if not is_within(peer, trusted):
@@ -112,10 +112,9 @@ def _last(headers: Headers, name: str) -> str:
 
 class Forwarded:
     """ASGI middleware that puts the client of a request, and the name by which it called this server, into
-    the scope. A proxy's connections carry requests of many, so the requests of each client are counted here
-    as the connections of others are (`app.core.server.connections`). ``note_refusal`` gets the address, the
-    status and the path of one too many.
-    """
+    the scope. A proxy's connections carry requests of many clients, so the requests of each are counted here
+    as the connections of others are (`app.core.server.connections`). ``note_refusal`` is called with the
+    address, the status and the path of one too many."""
 
     def __init__(
         self, app: ASGIApp, trusted: Collection[Network], note_refusal: Callable[[str, str, str], None]

@@ -20,12 +20,12 @@ from bus.instants import Monotonic
 from bus.pacing import Bucket
 
 CONNECTION = "lineside.connection"
-"""Key of the connection in the ``state`` of an ASGI scope."""
+"""The key of the connection in the ``state`` of an ASGI scope."""
 ARRIVED_AT = "lineside.arrived_at"
-"""Key there: when the first byte of the request can have arrived at the earliest, by
+"""The key in that ``state`` for the earliest time at which the first byte of the request can have arrived, by
 :func:`time.monotonic`."""
 BEGUN_AT = "lineside.begun_at"
-"""Key there: when the app got the request, before its body is read."""
+"""The key in that ``state`` for the time at which the app got the request, before its body is read."""
 
 MAX_OF_ADDRESS = 512
 """Connections of strangers at one address; all browsers of a plant may share an address until they have sent
@@ -35,27 +35,27 @@ MAX_OF_ACCOUNT = 600
 MAX_IN_ALL = 2000
 
 HANDSHAKES_A_SECOND, MAX_HANDSHAKES_AT_ONCE = 20.0, 300
-"""WebSockets that one account may open: all pages of a plant may have one account and return at once after a
+"""WebSockets that one account may open: all pages of a plant may share one account and return at once after a
 restart."""
 HANDSHAKES_TOGETHER_A_SECOND, MAX_HANDSHAKES_TOGETHER = 60.0, 10
-"""Of these only so many in the same moment: to open one takes the event loop milliseconds."""
+"""The most of them in the same moment: opening one takes the event loop milliseconds."""
 
 MIN_RATE = 1000.0
-"""Bytes a second, of a body that arrives and of a response that is read. A modem makes three times that."""
+"""The least bytes a second of a body that arrives and of a response; a modem makes three times that."""
 STALL_S = 20.0
-"""The time over which the rate of a reader is measured."""
+"""The seconds over which the rate of a reader is measured."""
 MAX_BODY_S = 300.0
 PROMPT_S = 0.25
-"""A client that has just connected sends its request within this time."""
+"""The seconds within which a client that has just connected sends its request."""
 
 
 class ClientConnection:
-    """One connection of a client. This class stands for one of which the server knows nothing."""
+    """One connection of a client. This base class stands for one of which the server knows nothing."""
 
     address = ""
-    """The other end of the connection: the proxy's, where it comes through one."""
+    """The other end of the connection; the proxy's if it comes through one."""
     account = ""
-    """The account that the client has shown a valid credential of; empty for a stranger."""
+    """The account for which the client has shown a valid credential; empty for a stranger."""
 
     def identify(self, account: str) -> None:
         """Count the connection for this account from now on."""
@@ -82,7 +82,7 @@ def client_connection(scope: Scope) -> ClientConnection:
 
 
 class Connections:
-    """The connections that are open now; ``most``: how many the system allows."""
+    """The connections that are open now; ``most``: the number that the system allows."""
 
     def __init__(self, trusted_proxies: Collection[Network] = (), most: int = MAX_IN_ALL) -> None:
         self._trusted = trusted_proxies
@@ -98,7 +98,7 @@ class Connections:
         self._add(connection)
 
     def identify(self, connection: ClientConnection, account: str) -> None:
-        """Count a stranger's connection for the account that it has shown a valid credential of."""
+        """Count a stranger's connection for the account whose valid credential it has shown."""
         if connection.account or connection not in self._strangers.get(source_of(connection.address), ()):
             return
         self.close(connection)
@@ -143,14 +143,14 @@ class Connections:
 
 
 class Handshakes:
-    """A limit that delays the handshakes of an account beyond their rate: clients that are refused retry at
+    """A limit that delays the handshakes of an account beyond their rate, because refused clients retry at
     once."""
 
     def __init__(self) -> None:
         self._buckets: dict[str, tuple[Bucket, Bucket]] = {}
 
     def wait_s(self, account: str, now: Monotonic) -> float:
-        """Return how long one more handshake of ``account`` has to wait."""
+        """Return how many seconds one more handshake of ``account`` has to wait."""
         fresh = (
             Bucket(HANDSHAKES_A_SECOND, MAX_HANDSHAKES_AT_ONCE),
             Bucket(HANDSHAKES_TOGETHER_A_SECOND, MAX_HANDSHAKES_TOGETHER),
@@ -159,7 +159,7 @@ class Handshakes:
 
 
 class Awaited(Enum):
-    """What the server awaits from the client of an HTTP connection."""
+    """The part of an HTTP exchange that the server awaits from the client."""
 
     FIRST = auto()
     """The first request; a browser may open a connection ahead of it."""
@@ -167,18 +167,18 @@ class Awaited(Enum):
     """The rest of the headers of a request that has begun."""
     BODY = auto()
     NOTHING = auto()
-    """It is the server's turn."""
+    """Nothing: it is the server's turn."""
     NEXT = auto()
-    """Another request, or the end."""
+    """The next request, or the end."""
 
 
 WITHIN_S = {Awaited.FIRST: 20.0, Awaited.HEAD: 20.0, Awaited.BODY: 20.0, Awaited.NEXT: 5.0}
-"""How long each may take. For a body: how long it may fall behind the least rate."""
+"""The seconds that each may take; for a body, how long it may fall behind the least rate."""
 
 
 @dataclass(slots=True)
 class Pace:
-    """What is awaited, since when, and how many of its bytes have arrived."""
+    """The part that is awaited, since when, and how many of its bytes have arrived."""
 
     since: float
     awaited: Awaited = Awaited.FIRST
@@ -202,7 +202,7 @@ class Pace:
 
 @dataclass(slots=True)
 class Backlog:
-    """What was written and waits for the client to read it."""
+    """The bytes that were written and wait for the client to read them."""
 
     size: int = 0
     since: float = 0.0

@@ -1,11 +1,11 @@
 """The protocol of one connection in front of uvicorn's, by the public interfaces of asyncio alone.
 
-It is counted, encrypted and watched to its end, and feeds uvicorn in turns: the system gives in one call what
-was sent in seconds, and a parser calls back for each piece of it, which may have a single byte. uvicorn gets
-one request at a time: what follows waits here, with the time at which it arrived. `Stages`, the outermost
-ASGI middleware, tells the gate how far each request is. `LoopWatch` bounds when the
-request can have arrived: the loop, or the machine under it, may have stood still, and the system accepts
-connections meanwhile.
+A connection is counted, encrypted and watched to its end, and feeds uvicorn in turns: the system returns in
+one call what was sent in seconds, and a parser calls back for each piece of it, which may be a single byte.
+uvicorn gets one request at a time: the next ones wait here, with the time at which they arrived. `Stages`,
+the outermost ASGI middleware, tells the gate how far each request is. `LoopWatch` bounds when the request can
+have arrived: the loop, or the machine under it, may have stood still, and the system accepts connections
+meanwhile.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ from bus.instants import Monotonic, MonotonicClock, monotonic_now
 
 TICK_S = 0.05
 SOON_S = 0.001
-"""Until the first tick after a stall: separates what arrives after it from what arrived during it."""
+"""The seconds until the first tick after a stall, which separates later arrivals from those during it."""
 ORDINARY_TURN_S = 0.15
-"""A loop that ticked so short a time ago has not stood still."""
+"""A loop that ticked within so many seconds has not stood still."""
 
 
 class LoopWatch:
@@ -68,7 +68,7 @@ class LoopWatch:
 
     @property
     def polled_after(self) -> Monotonic:
-        """A moment after which the loop polled all its sockets before it delivered what it delivers now: that
+        """A moment after which the loop polled all its sockets before it delivered the present data: the data
         was not there yet at this moment.
 
         The last tick may belong to this turn of the loop, before its poll; the one before it never does.
@@ -76,7 +76,7 @@ class LoopWatch:
         return self._before_last
 
     def earliest(self) -> Monotonic:
-        """Return the earliest moment at which what the loop delivers now can have arrived."""
+        """Return the earliest moment at which the data that the loop delivers now can have arrived."""
         now = self.now()
         return now if now - self.polled_after <= ORDINARY_TURN_S else self.polled_after
 
@@ -100,7 +100,8 @@ _SENT = struct.Struct("=44xI")
 
 
 class TcpSocket(Protocol):
-    """What asyncio and uvloop give as ``get_extra_info("socket")``."""
+    """The part of a socket that asyncio and uvloop return as ``get_extra_info("socket")`` and that is used
+    here."""
 
     def getsockopt(self, level: int, option: int, size: int, /) -> bytes:
         """Return an option. Raises OSError if the system or the kind of socket does not know it."""
@@ -121,14 +122,14 @@ def age_s(connection: TcpSocket | None) -> float | None:
 
 
 SLICE_BYTES = 512
-"""Bytes given to the parser at once: 85 empty frames or chunks of a byte."""
+"""The bytes given to the parser at once: 85 empty frames or chunks of a byte."""
 TURN_S = 0.0003
-"""Time after which no further slice is parsed in this turn: one of chunks of a byte takes as long."""
+"""The seconds after which no further slice is parsed in this turn: one of chunks of a byte takes as long."""
 MAX_HELD_BYTES, MAX_HELD_PARTS = 64 * 1024, 64
-"""What waits in the gate; what follows waits in the system. A part may have a single byte: beyond so many
-parts, what arrives gets the time of the last."""
+"""The limit of data that waits in the gate; more waits in the system. A part may be a single byte: beyond so
+many parts, further data gets the time of the last."""
 RECEIVE_BUFFER_BYTES = 64 * 1024
-"""What the system receives on a connection before it is read."""
+"""The bytes that the system receives on a connection before it is read."""
 MAX_HEAD_BYTES, MAX_HEADERS = 32 * 1024, 100
 MAX_FRAMING_BYTES, MAX_FRAMING_SHARE = 128 * 1024, 16
 """Limits of a body in chunks: bytes that may arrive before the app takes any, and for each byte that it has
@@ -139,20 +140,20 @@ the sender."""
 MAX_AFTER_CLOSE_BYTES = 4096
 """Bytes that a page may send until it has seen the server's Close frame, its own Close frame included."""
 MAX_PASSED_OVER_BYTES = 4 * 1024 * 1024
-"""Bytes that a client may send after the server has ended the connection."""
+"""The bytes that a client may send after the server has ended the connection."""
 CLOSING_S = 5.0
-"""Time that a client gets to read the end of a connection."""
+"""The seconds that a client gets to read the end of a connection."""
 NEVER = Monotonic(inf)
 VERSIONS = ("1.0", "1.1")
 HEAD_END = b"\r\n\r\n"
 
 MakeProtocol = Callable[..., asyncio.Protocol]
-"""uvicorn's protocol, which gets ``app_state``, the ``state`` of each of its scopes, as an argument."""
+"""A function that makes uvicorn's protocol; ``app_state`` is the ``state`` of each of its scopes."""
 
 
 @dataclass
 class Gates:
-    """The gates that are open, and what they share. ``in_clear``: the address at which none is encrypted
+    """The gates that are open, and their shared parts. ``in_clear``: the address at which none is encrypted
     although ``choose_context`` is set."""
 
     connections: Connections
@@ -185,7 +186,7 @@ class Gate(ClientConnection, asyncio.Protocol):
     def __init__(
         self, gates: Gates, make_protocol: MakeProtocol, app_state: dict[str, Any], **options: Any
     ) -> None:
-        """``app_state`` and ``options``: the arguments that uvicorn gives to the protocol of a connection."""
+        """Make a gate; ``app_state`` and ``options`` are the arguments that uvicorn gives to its protocol."""
         self._gates = gates
         self._loop = asyncio.get_running_loop()
         self._make_inner = partial(make_protocol, **options)
@@ -202,7 +203,7 @@ class Gate(ClientConnection, asyncio.Protocol):
         self._awaits_turn = self._awaits_app = False
         self._is_full = self._is_socket = self._is_trusted = self._has_responded = False
         self.arrived_at = NEVER
-        """When the first byte of this request can have arrived at the earliest."""
+        """The earliest moment at which the first byte of this request can have arrived."""
         self._last = b""
         self._seen = 0
         self._body_left = self._most = inf
@@ -216,7 +217,7 @@ class Gate(ClientConnection, asyncio.Protocol):
         self.transport = transport
         self.address = (transport.get_extra_info("peername") or ("",))[0]
         self._read_since, earliest = self._gates.watch.now(), self._gates.watch.earliest()
-        # The system accepts before we do: it may have been open, and have data, for long.
+        # The system accepts earlier: the connection may have been open, and have data, for long.
         age = age_s(transport.get_extra_info("socket"))
         self._floor = earliest if age is None else min(earliest, Monotonic(float(self._read_since) - age))
         if self._gates.choose_context is not None and not self._is_in_clear():
@@ -232,7 +233,7 @@ class Gate(ClientConnection, asyncio.Protocol):
         if self._ended_at is not None:
             self._pass_over(len(data))
         elif self._is_trusted and len(data) <= SLICE_BYTES and not self._held and self._may_feed():
-            # A report of a worker, of which 40 a second come: it takes no more than a turn would.
+            # This is a report of a worker, one of 40 a second: it takes no more time than a turn would.
             self.inner.data_received(data)
         else:
             waiting = self._held if self._tls is None else self._sealed
@@ -244,7 +245,7 @@ class Gate(ClientConnection, asyncio.Protocol):
             self.go_on()
 
     def eof_received(self) -> None:
-        """Close the connection, as the client has closed its side."""
+        """Close the connection, because the client has closed its side."""
 
     def pause_writing(self) -> None:
         self._is_full = True
@@ -258,8 +259,8 @@ class Gate(ClientConnection, asyncio.Protocol):
         self.go_on()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End the request in turn: that takes the app a millisecond, and a client with hundreds of
-        connections may drop them all at once."""
+        """End the request in turn, which takes the app a millisecond: a client with hundreds of connections
+        may drop them all at once."""
         if self not in self._gates.open:
             return
         if self._pace.awaited in (Awaited.HEAD, Awaited.BODY) and self._ended_at is None:
@@ -268,7 +269,7 @@ class Gate(ClientConnection, asyncio.Protocol):
         self._gates.open.discard(self)
         self._gates.connections.close(self)
         self._ended_at = self._ended_at or self._loop.time()
-        inner, self.inner = self.inner, None  # otherwise each would keep the other until the next collection
+        inner, self.inner = self.inner, None  # Otherwise each would keep the other until the next collection.
         if inner is not None:
             self._gates.turns.run(self._sender(), partial(inner.connection_lost, exc))
 
@@ -295,7 +296,7 @@ class Gate(ClientConnection, asyncio.Protocol):
 
     @property
     def is_encrypted(self) -> bool:
-        """Return whether the connection is encrypted by TLS."""
+        """Whether the connection is encrypted by TLS."""
         return self._tls is not None
 
     def trust(self) -> None:
@@ -348,7 +349,7 @@ class Gate(ClientConnection, asyncio.Protocol):
     # --- turns -------------------------------------------------------------------------------------
 
     def go_on(self) -> None:
-        """Feed what waits, in turn."""
+        """Feed the waiting data, in turn."""
         if (self._held or self._sealed) and not self._awaits_turn and self._may_feed():
             self._awaits_turn = True
             self._gates.turns.run((self._sender(), self._is_heavy), self._take_turn)
@@ -371,12 +372,12 @@ class Gate(ClientConnection, asyncio.Protocol):
                 self._unseal()
             if self._loop.time() > end:
                 break
-        # What needs more than one turn is not served before the short requests of the same sender.
+        # Data for more than one turn is not served before the short requests of the same sender.
         self._is_heavy = self._held_bytes > 0
         self.go_on()
 
     def _feed(self) -> None:
-        """Give uvicorn one slice of what was received."""
+        """Give uvicorn one slice of the received data."""
         is_first = self._pace.awaited in (Awaited.FIRST, Awaited.NEXT) and not self._is_socket
         arrived_at, data = self._slice(is_first=is_first)
         if not data:
@@ -402,7 +403,7 @@ class Gate(ClientConnection, asyncio.Protocol):
             self._loop.call_soon(self._heard)
 
     def _slice(self, *, is_first: bool) -> tuple[Monotonic, bytes]:
-        """Return a slice of what waits, which ends at the latest where the head or the body does."""
+        """Return a slice of the waiting data, which ends at the latest where the head or the body does."""
         arrived_at, chunk = self._held[0]
         before = len(chunk)
         if is_first:
@@ -447,7 +448,7 @@ class Gate(ClientConnection, asyncio.Protocol):
         self.go_on()
 
     def _hold_back(self) -> None:
-        """Stop reading: what follows stays in the buffers of the system."""
+        """Stop reading: further data stays in the buffers of the system."""
         if self._read_since < NEVER and not self.transport.is_closing():
             self._floor, self._read_since = self._arrival(), NEVER
             self.transport.pause_reading()
@@ -458,13 +459,13 @@ class Gate(ClientConnection, asyncio.Protocol):
             self.transport.resume_reading()
 
     def _arrival(self) -> Monotonic:
-        """Return when what is delivered now can have arrived at the earliest."""
+        """Return when the data that is delivered now can have arrived at the earliest."""
         if self._gates.watch.polled_after > self._read_since:
-            self._floor = NEVER  # what had waited until it was read has been delivered
+            self._floor = NEVER  # Data that had waited until it was read has been delivered.
         return min(self._gates.watch.earliest(), self._floor)
 
     def _sender(self) -> str:
-        """Return who shares turns: the connections of one account, or of strangers at one address."""
+        """Return the key for turns, shared by connections of one account, or of strangers at one address."""
         return self.account or source_of(self.address)
 
     def _expect(self, awaited: Awaited) -> None:
@@ -522,17 +523,17 @@ class Gate(ClientConnection, asyncio.Protocol):
             self._refuse(TOO_SLOW)
 
     def leave(self) -> None:
-        """End the connection where uvicorn does not."""
+        """End the connection if uvicorn does not."""
         if self.inner is None or self._ended_at is not None:
             self.transport.abort()
 
     @property
     def is_over(self) -> bool:
-        """Return whether nothing more is written."""
+        """Whether nothing more is written."""
         return self._ended_at is not None or self.transport.is_closing()
 
     def write(self, data: bytes) -> None:
-        """Write for uvicorn; its response to what cannot be parsed becomes a refusal of ours."""
+        """Write for uvicorn; its response to a request that it cannot parse becomes a refusal of ours."""
         if self.is_over:
             return
         if self._is_feeding and not self._is_socket and data.startswith(b"HTTP/1.1 400 "):
@@ -541,8 +542,8 @@ class Gate(ClientConnection, asyncio.Protocol):
             self._write(data)
 
     def close(self) -> None:
-        """Close for uvicorn. Bytes that are still to come are read and passed over for a while: closing at
-        once would reset the connection, and the client might never see the response (RFC 9112, 9.6)."""
+        """Close for uvicorn. Bytes that are still to come are read and ignored for a while: closing at once
+        would reset the connection, and the client might never see the response (RFC 9112, 9.6)."""
         self._finish(linger=self._body_left > 0 or self._held_bytes > 0)
 
     def _is_refusable(self) -> bool:
@@ -558,7 +559,7 @@ class Gate(ClientConnection, asyncio.Protocol):
             self.transport.write(data)
 
     def _refuse(self, refusal: Refusal) -> None:
-        """End the connection; the refusal is the response where one is awaited and none has begun."""
+        """End the connection, with the refusal as the response if one is awaited and none has begun."""
         self._note(refusal)
         is_read = self._is_refusable()
         if is_read:
@@ -593,7 +594,7 @@ class Gate(ClientConnection, asyncio.Protocol):
 
 
 class Wire:
-    """The transport that uvicorn's protocol writes to; all else is that of the connection."""
+    """The transport to which uvicorn's protocol writes; all else is that of the connection."""
 
     def __init__(self, gate: Gate) -> None:
         self._gate = gate
@@ -624,7 +625,7 @@ class Wire:
 
 
 def _refusal_of(scope: Scope) -> Refusal | None:
-    """Return the refusal of a request that cannot be met, None where it can."""
+    """Return the refusal of a request that cannot be met, None if it can."""
     if scope["http_version"] not in VERSIONS:
         return NO_SUCH_VERSION
     if len(scope["headers"]) > MAX_HEADERS:
@@ -635,7 +636,7 @@ def _refusal_of(scope: Scope) -> Refusal | None:
 
 
 def _body_length(headers: list[tuple[bytes, bytes]]) -> float:
-    """Return the length of the body of a request; infinite where it comes in chunks."""
+    """Return the length of the body of a request; infinite for chunks."""
     if any(name == b"transfer-encoding" for name, _ in headers):
         return inf
     with suppress(ValueError):
@@ -644,7 +645,8 @@ def _body_length(headers: list[tuple[bytes, bytes]]) -> float:
 
 
 class Stages:
-    """ASGI middleware that stamps a request with its arrival and tells its gate what the app does with it."""
+    """ASGI middleware that stamps a request with its arrival and tells its gate how far the app is with
+    it."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

@@ -1,5 +1,5 @@
-"""The log of requests that were refused and of errors: one line for the first of its kind, and then the
-number of those that followed, once a minute.
+"""The log of refused requests and of errors: one line for the first of its kind, and then the number of those
+that followed, once a minute.
 
 A client decides how many requests it sends: a line for each, and more so a traceback, would let it fill the
 disk. `Repeats` is pure: times are monotonic and passed in.
@@ -22,11 +22,11 @@ MAX_KEYS = 100
 Item = TypeVar("Item")
 _log = structlog.get_logger()
 OTHERS = "others"
-"""Name of all that are counted together."""
+"""The name of all that are counted together."""
 REFUSED = frozenset({400, 401, 403, 408, 413, 414, 415, 417, 421, 429, 431})
-"""Statuses that a client gets for what it may not do or cannot mean; one that mistypes gets others."""
+"""Statuses for requests that a client may not send or cannot mean; one that mistypes gets others."""
 MAX_SHOWN = 100
-"""Characters of what a client sent."""
+"""The most characters from a client that are shown."""
 _OF_CLIENTS = frozenset(
     {
         "ASGI callable returned without completing handshake.",
@@ -35,13 +35,13 @@ _OF_CLIENTS = frozenset(
         "parser failed",
     }
 )
-"""What uvicorn and websockets log of a refused handshake or frame, which is noted here by its address."""
+"""The loggers' texts about a refused handshake or frame, which is noted here by its address."""
 
 
 @dataclass(frozen=True, slots=True)
 class Repetition(Generic[Item]):
-    """What came ``count`` times since it was last noted; ``item`` is the last of them. ``is_of_others``:
-    several keys are counted together."""
+    """The repetitions since the last note: ``count`` of them, the last being ``item``. ``is_of_others``:
+    whether several keys are counted together."""
 
     item: Item
     count: int
@@ -56,8 +56,8 @@ class _Window(Generic[Item]):
 
 
 class Repeats(Generic[Item]):
-    """A counter of what follows the first of each key, a minute at a time. Beyond ``max_keys`` keys all
-    others count as one."""
+    """A counter of the items that follow the first of each key, a minute at a time. Beyond ``max_keys`` keys
+    all others count as one."""
 
     def __init__(self, max_keys: int = MAX_KEYS) -> None:
         self._max_keys = max_keys
@@ -76,8 +76,8 @@ class Repeats(Generic[Item]):
         return None
 
     def take_counted(self, now: Monotonic, *, everything: bool = False) -> list[Repetition[Item]]:
-        """Return what followed the first, by key, for each minute that has passed, or with ``everything`` for
-        all; a minute in which nothing followed is forgotten."""
+        """Return the repetitions of each key for each minute that has passed, or with ``everything`` for all;
+        a minute without any is forgotten."""
         found = []
         for key, window in list(self._windows.items()):
             if not everything and now - window.since < WINDOW_S:
@@ -90,7 +90,7 @@ class Repeats(Generic[Item]):
 
 
 class RefusalLog:
-    """The log of what was refused, by the address of the client."""
+    """The log of refused requests, by the address of the client."""
 
     def __init__(self, now: MonotonicClock = monotonic_now) -> None:
         self._now = now
@@ -126,7 +126,7 @@ class ErrorLines(logging.Handler):
             _log.error(text, exc_info=error)
 
     def install(self) -> None:
-        """Make this the only handler of these loggers."""
+        """Make this the only handler of the loggers of uvicorn and asyncio."""
         for name in ("uvicorn", "asyncio"):
             logger = logging.getLogger(name)
             logger.handlers, logger.propagate = [self], False

@@ -25,11 +25,11 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 FILE_HEADERS = frozenset({"X-Content-Type-Options", "Cross-Origin-Resource-Policy", "Cache-Control"})
-"""Those of `HEADERS` that matter for a static file which is no document: the others govern documents, frames
-and workers, and a first visit requests some forty files."""
+"""Those of `HEADERS` that matter for a static file, which is not a document: the others govern documents,
+frames and workers, and a first visit requests some forty files."""
 _NO_DOCUMENTS = ("text/css", "text/javascript", "font/woff2", "image/png")
 _STARTS = frozenset({"http.response.start", "websocket.http.response.start"})
-"""The second is of a response that refuses a WebSocket handshake."""
+"""The second type is for a response that refuses a WebSocket handshake."""
 MEDIA_TYPE = "application/problem+json"
 
 
@@ -65,7 +65,7 @@ class Refusal:
     code: str
     detail: str
     wait_s: int = 0
-    """Seconds after which the request may be tried again; 0: it is not stated."""
+    """The seconds after which the request may be repeated; 0 if that is not stated."""
 
     def response(self) -> bytes:
         """Return the refusal as a complete HTTP response with which its connection ends."""

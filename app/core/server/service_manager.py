@@ -1,6 +1,7 @@
-"""Tells systemd that the server serves, restarts or stops, and feeds its watchdog (sd_notify(3)).
+"""Messages to systemd that the server serves, restarts or stops, and the feeding of its watchdog
+(sd_notify(3)).
 
-Each is a datagram to the socket that ``NOTIFY_SOCKET`` names; without one nothing is sent.
+Each message is a datagram to the socket that ``NOTIFY_SOCKET`` names; without one nothing is sent.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ log = structlog.get_logger()
 
 NOTIFY_SOCKET = "NOTIFY_SOCKET"
 MAX_STILL_S = {"bus workers": 12.0, "store": 60.0}
-"""Seconds that each part may stand still. A disk may take longer over a write."""
+"""The seconds that each part may stand still. A disk may take longer over a write."""
 
 
 class ServiceManager:
-    """The connection to the service manager by the socket of the environment, which the processes that
-    are started here do not inherit."""
+    """The connection to the service manager by the socket of the environment, which the processes that are
+    started here do not inherit."""
 
     def __init__(self, environment: MutableMapping[str, str] = os.environ) -> None:
         address = environment.pop(NOTIFY_SOCKET, "")
@@ -39,12 +40,12 @@ class ServiceManager:
         self._send("READY=1", f"STATUS={status}")
 
     def alive(self) -> None:
-        """Feed the watchdog: its time begins again."""
+        """Feed the watchdog, which restarts its time."""
         self._send("WATCHDOG=1")
 
     def restarting(self, environment: MutableMapping[str, str] = os.environ) -> None:
-        """Tell systemd that the server starts again in this process, which then finds the socket in its
-        environment again."""
+        """Tell systemd that the server restarts in this process, and put the socket back into the environment
+        for it."""
         self._send("RELOADING=1", "STATUS=restarts with the changed configuration")
         if self.is_there:
             environment[NOTIFY_SOCKET] = self._address.replace("\0", "@", 1)
@@ -56,15 +57,15 @@ class ServiceManager:
         if not self.is_there:
             return
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sending:
-            # A manager that is busy or gone misses this one.
+            # A manager that is busy or gone misses this message.
             sending.setblocking(False)
             sending.sendto("\n".join(lines).encode(), self._address)
 
 
 class Liveness:
-    """A task that feeds the watchdog of systemd while the event loop turns, the store takes what it is given,
-    and every bus has its worker or is about to. A port that is unplugged is no standstill. Call :meth:`tick`
-    once a second on the event loop."""
+    """A task that feeds the watchdog of systemd while the event loop turns, the store accepts writes, and
+    every bus has its worker or is about to. An unplugged port is no standstill. Call :meth:`tick` once a
+    second on the event loop."""
 
     def __init__(
         self,
@@ -96,7 +97,7 @@ class Liveness:
             log.error("watchdog of systemd not fed" if still else "watchdog of systemd fed", parts=still)
 
     def _store_took_it(self) -> bool:
-        """Return whether the store has responded since the last tick; then give it the next look."""
+        """Return whether the store has responded since the last tick, and if so send it the next look."""
         if self._looking is not None and not self._looking.done():
             return False
         self._looking = asyncio.create_task(self._look(), name="look at the store")

@@ -21,7 +21,7 @@ MAX_BYTES = 4096
 
 
 def check_web_url(written: str) -> str:
-    """Return a URL of the web. Raises ValueError, without the URL, for another, and for one with a
+    """Return a URL of the web. Raises ValueError, without the URL, for any other, and for one with a
     password."""
     try:
         parts = urlsplit(written)
@@ -36,7 +36,7 @@ def check_web_url(written: str) -> str:
 
 
 def url_refusal(message: Message) -> PydanticCustomError:
-    """Return the fault of a URL, which is shown without the URL: that may be a secret."""
+    """Return the fault of a URL, which is shown without the URL, because that may be a secret."""
     return PydanticCustomError("web_url", "no such URL", {"message": message, "at": ()})
 
 
@@ -55,7 +55,7 @@ class TlsSettings(StrictModel):
     """HTTPS and WSS. PEM files, relative to the configuration; absolute once loaded."""
 
     certificate: Path
-    """The server's certificate, and after it those that lead to its authority."""
+    """The server's certificate, followed by those that lead to its authority."""
     key: Path
     client_ca: Path | None = None
     """The authority of the workers: each must show a certificate that it has signed."""
@@ -66,7 +66,7 @@ class TlsSettings(StrictModel):
 
 
 class SecretFileError(LinesideError):
-    """The file of a secret cannot be used; the text gives the reason, without the content."""
+    """Raised for a secret file that cannot be used; the text gives the reason, without the content."""
 
 
 def read_secret(path: Path) -> bytes:

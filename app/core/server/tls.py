@@ -1,6 +1,5 @@
 """TLS: the server's certificate, which is replaced while the server runs when its files change, and the
-records of one connection, bytes in and bytes out. Open connections keep the certificate that they began with.
-"""
+records of one connection, bytes in and bytes out. Open connections keep their first certificate."""
 
 from __future__ import annotations
 
@@ -27,19 +26,20 @@ from bus.tls import (
 )
 
 HEADER_BYTES, MAX_HELLO_BYTES, HANDSHAKE = 5, 2**14, 22
-"""Of a record (RFC 8446, 5.1); the first of a client is a part of its handshake."""
+"""Sizes and type of a record (RFC 8446, 5.1); the first one of a client is a part of its handshake."""
 READ_BYTES = 2**16
 
 ChooseContext = Callable[[bytes], ssl.SSLContext]
-"""The context for the first record of a client."""
+"""A function that returns the context for the first record of a client."""
 LOOK_EVERY_S = 2.0
-"""Changed files are read once two looks find them the same: two files are never written at once."""
+"""The seconds between looks. Changed files are read once two looks find them equal: two files are never
+written at once."""
 OnReload = Callable[[Message, Message | None], Awaitable[None]]
-"""Called with what happened and, where the files were refused, the reason."""
+"""A function called with the event and, if the files were refused, the reason."""
 
 
 class NoTlsError(Exception):
-    """The client does not speak TLS; ``is_text``: it may speak HTTP."""
+    """Raised when the client does not speak TLS; ``is_text``: it may speak HTTP."""
 
     def __init__(self, first: int) -> None:
         super().__init__()
@@ -47,8 +47,8 @@ class NoTlsError(Exception):
 
 
 class TlsSession:
-    """The TLS of one connection. What :meth:`take_outgoing` returns is to be sent after each call, also after
-    one that failed."""
+    """The TLS of one connection. Send the data of :meth:`take_outgoing` after each call, even after one that
+    failed."""
 
     def __init__(self, choose_context: ChooseContext) -> None:
         self._choose_context = choose_context
@@ -59,7 +59,7 @@ class TlsSession:
         """``is_over``: the client has announced its end."""
 
     def decrypt(self, data: bytes) -> bytes:
-        """Decrypt what was received, as far as it is complete. Raises ssl.SSLError and NoTlsError."""
+        """Decrypt received data, as far as it is complete. Raises ssl.SSLError and NoTlsError."""
         if self._tls is None:
             self._hello += data
             if not self._has_hello():
@@ -93,7 +93,7 @@ class TlsSession:
         return self.take_outgoing()
 
     def take_outgoing(self) -> bytes:
-        """Return what is to be sent besides data: a part of the handshake, a key, an alert."""
+        """Return the data to send besides payload: a part of the handshake, a key, an alert."""
         return self._outgoing.read()
 
     def is_certified(self) -> bool:
@@ -112,8 +112,8 @@ class TlsSession:
 @dataclass(frozen=True, slots=True)
 class Contexts:
     """The TLS contexts of one state of the files. Only a client that announces itself as a worker is
-    requested to show a certificate: a browser would let its user choose one, and some open no WebSocket
-    then."""
+    requested to show a certificate: a browser would let its user choose one, and some then open no
+    WebSocket."""
 
     certificate: Certificate
     browsers: ssl.SSLContext
@@ -121,8 +121,8 @@ class Contexts:
 
 
 class ServerCertificate:
-    """The certificate in use. Raises TlsFileError for files that cannot be used. An expired one can, at the
-    start: a page behind a warning is better than none."""
+    """The certificate in use. Raises TlsFileError for files that cannot be used. An expired one can be used
+    at the start: a page behind a warning is better than none."""
 
     def __init__(self, settings: TlsSettings, clock: Clock = unix_now) -> None:
         self._settings = settings
@@ -133,7 +133,7 @@ class ServerCertificate:
 
     @property
     def fault(self) -> Message | None:
-        """Return why the certificate in the files is not used, or is not valid; None if neither is so."""
+        """Why the certificate in the files is not used, or is not valid; None if neither is so."""
         file = self._settings.certificate
         return self._refusal or date_fault(self._contexts.certificate, file, self._clock())
 
@@ -148,7 +148,7 @@ class ServerCertificate:
         return self._contexts.workers if is_worker else self._contexts.browsers
 
     async def follow(self, on_reload: OnReload) -> None:
-        """Look at the files every `LOOK_EVERY_S`, without end."""
+        """Look at the files every `LOOK_EVERY_S`, until canceled."""
         while True:
             await asyncio.sleep(LOOK_EVERY_S)
             await self.look(on_reload)
@@ -185,7 +185,7 @@ def _read(settings: TlsSettings) -> Contexts:
     (browsers, certificate), (workers, _) = _context(settings), _context(settings)
     if settings.client_ca is not None:
         load_authority(workers, settings.client_ca)
-        workers.verify_mode = ssl.CERT_OPTIONAL  # one without is refused in words, at /feed
+        workers.verify_mode = ssl.CERT_OPTIONAL  # A client without one is refused in words, at /feed.
     return Contexts(certificate, browsers, workers)
 
 
@@ -215,7 +215,7 @@ class Encryption:
 
     @property
     def fault(self) -> Message | None:
-        """Return the fault of the certificate, or that encryption is missing; None for neither."""
+        """The fault of the certificate, or that encryption is missing; None without either."""
         if self.certificate is not None:
             return self.certificate.fault
         return Message("tls_missing") if self.is_missing else None

@@ -1,4 +1,4 @@
-"""Turns, so that however much comes from one sender delays that sender and no other."""
+"""Turns, so that a load from one sender delays that sender and no other."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class LoopTurns:
         try:
             start()
         finally:
-            # Called after the first step of a task that `start` has made.
+            # This is called after the first step of a task that `start` has made.
             loop.call_soon(self._rest, key, begun)
 
     def _rest(self, key: object, begun: float) -> None:
@@ -63,12 +63,12 @@ class LoopTurns:
 
 
 class TooManyWaitingError(Exception):
-    """Nothing more is put into the queue."""
+    """Raised when the queue is full."""
 
 
 class FairQueue(Generic[K]):
-    """A queue for what costs much; ``async with queue.turn(key):`` waits for its turn. Keys (places,
-    accounts) take turns, and so do those that are known and those that are not.
+    """A queue for costly work; ``async with queue.turn(key):`` waits for its turn. Keys (places, accounts)
+    take turns, and so do the known and the unknown ones.
 
     ``at_once``: turns at a time, and ``at_once_of_key`` of one key. ``most_waiting_of_key`` may wait of one
     key, ``most_waiting`` of all together, half of them known and half not. ``rest``: how many times as long
@@ -144,7 +144,7 @@ class FairQueue(Generic[K]):
                 turn.set_result(None)
 
     def _next(self) -> tuple[K, asyncio.Future[None]] | None:
-        """Return the next of the two classes in turn, if both are waiting."""
+        """Return the next waiter; if both classes wait, they take turns."""
         for known in (self._known_next, not self._known_next):
             found = self._waiting[known].next(self._busy, self._at_once_of_key)
             if found is not None:

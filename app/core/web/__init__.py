@@ -1,1 +1,2 @@
-"""What every page and call shares: rendering, languages, problems, security headers, static files."""
+"""The parts that every page and call shares: rendering, languages, problems, security headers, static
+files."""

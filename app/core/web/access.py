@@ -1,14 +1,12 @@
-"""Who a request is from, and the grant that its route requires.
+"""The caller of a request, and the grant that its route requires.
 
-`app.people.auth.identify` finds the `Caller` of each request. Every route declares a role with one of
-the dependencies here, or is declared public, and is not served otherwise
-(`app.core.web.routes`). `Requires` grants that role once, before the body is read: the caller
-becomes a `Person`. Commands and acts are called by a `Person` only.
+`app.people.auth.identify` finds the `Caller` of each request. Every route declares a role with one of the
+dependencies here, or is declared public, and is not served otherwise (`app.core.web.routes`). `Requires`
+grants that role once, before the body is read: the caller becomes a `Person`. Commands and acts are called by
+a `Person` only.
 
-Cookies of this server alone: another one on the same host has others.
-
-Browsers send the cookies of a host to every port of it, so a name carries the port under which the browser
-reaches this server; a default port is not in it.
+The names of cookies belong to this server alone. Browsers send the cookies of a host to every port of it, so
+a name carries the port under which the browser reaches this server; a default port is not in it.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ from bus.instants import UnixTime
 from bus.messages import Message, term
 
 Via = Literal["session", "token", "worker", "demo", "console"]
-"""How a person is known; ``console``: calls the command line of the server, and sends no request."""
+"""The way in which a person is known; ``console``: from the server's command line, without a request."""
 
 
 class Author(TypedDict):
@@ -41,11 +39,11 @@ class Author(TypedDict):
 
 
 AccountSubscriber = Callable[[str], Awaitable[None]]
-"""Called with an account of which something changed."""
+"""A function called with an account of which something changed."""
 
 
 class Role(StrEnum):
-    """Permissions. Each of the first four includes those before it; ``worker`` opens /feed and nothing else,
+    """The roles. Each of the first four includes those before it; ``worker`` opens /feed and nothing else,
     and no other role opens /feed: commands are verified by the reports of a worker."""
 
     VIEWER = "viewer"
@@ -63,7 +61,7 @@ class Role(StrEnum):
 
 
 PEOPLE_ROLES = (Role.VIEWER, Role.OPERATOR, Role.ENGINEER, Role.ADMIN)
-"""In the order of what they may do; each may what those before it may."""
+"""The roles of people in order; each includes those before it."""
 _TOKEN = " (token)"
 
 
@@ -77,7 +75,7 @@ def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
 
 @dataclass(frozen=True)
 class Caller:
-    """Who a request is from: a person, a panel or a program that is signed in."""
+    """The sender of a request: a person, a panel or a program that is signed in."""
 
     name: str
     role: Role
@@ -86,9 +84,9 @@ class Caller:
     panel: bool = False
     home: str = "/"
     created_at: UnixTime = UnixTime(0.0)
-    """When the account was made, Unix time in seconds: it distinguishes a later account of the same name."""
+    """When the account was made, Unix time in seconds: a later account of the same name has another."""
     bus: str = ""
-    """The one bus that a worker speaks for."""
+    """The one bus for which a worker speaks."""
     has_company_account: bool = False
     """Whether the person signs in by the provider of company accounts, and has no password."""
     credential: str = field(default="", repr=False, compare=False)
@@ -98,7 +96,7 @@ class Caller:
 
     @property
     def has_account(self) -> bool:
-        """Whether it is a user or a token of the store, whose rights can be withdrawn."""
+        """Whether the caller is a user or a token of the store, whose rights can be withdrawn."""
         return self.via in ("session", "token")
 
     @property
@@ -107,12 +105,12 @@ class Caller:
 
     @property
     def author(self) -> Author:
-        """Return the caller as the author of an event: ``events.record(**person.author, …)``."""
+        """The caller as the author of an event: ``events.record(**person.author, …)``."""
         return {"who": self.name, "origin": self.via}
 
     @property
     def sender(self) -> str:
-        """Return a text that identifies the account, distinct from an earlier one of the same name."""
+        """A text that identifies the account, distinct from an earlier one of the same name."""
         return f"{self.account} {self.created_at!r}"
 
     def granted(self, role: Role) -> Person:
@@ -148,13 +146,13 @@ def address_of(connection: HTTPConnection) -> str:
 
 
 def caller_of(connection: HTTPConnection) -> Caller | None:
-    """Return who a request is from; None where no one is signed in."""
+    """Return the caller of a request; None if no one is signed in."""
     caller: Caller | None = connection.scope.get("caller")
     return caller
 
 
 def person_of(connection: HTTPConnection) -> Person:
-    """Return who has the grant of a request. Raises Problem 401 where its route requires none."""
+    """Return the person with the grant of a request. Raises Problem 401 if its route requires none."""
     person: Person | None = connection.scope.get("person")
     if person is None:
         raise not_signed_in()
@@ -177,7 +175,7 @@ class Requires:
         return await self.granted_once(connection)
 
     async def granted_once(self, connection: HTTPConnection) -> Person:
-        """Return the person of the grant, which is made where it was not yet in this request. Raises what
+        """Return the person of the grant, which is made here unless this request has it already. Raises what
         `grant` raises."""
         granted: set[Requires] = connection.scope.setdefault("granted", set())
         if self not in granted:
@@ -186,7 +184,8 @@ class Requires:
         return person_of(connection)
 
     async def grant(self, connection: HTTPConnection) -> Person:
-        """Raises Problem 401, 403 or, for a write that was held up on its way, 503 ``not_sent``."""
+        """Grant the role to the caller. Raises Problem 401, 403 or, for a write that was delayed on its way,
+        503."""
         person = self.permitted(connection)
         refuse_late(connection)
         return person
@@ -200,7 +199,7 @@ class Requires:
 
 
 def refuse_without(role: Role, person: Caller) -> None:
-    """Raises Problem 403 ``forbidden`` for a person whose role does not include ``role``."""
+    """Raise Problem 403 ``forbidden`` for a person whose role does not include ``role``."""
     if person.role.includes(role):
         return
     present = term(person.role)
@@ -227,7 +226,7 @@ Worker = Annotated[Person, Depends(Requires(Role.WORKER))]
 
 SESSION = "lineside_session"
 _HOST_PREFIX = "__Host-"
-"""Browsers take a cookie of such a name from this host alone, and by TLS (RFC 6265bis, 4.1.3.2)."""
+"""Browsers accept a cookie of such a name from this host only, and by TLS (RFC 6265bis, 4.1.3.2)."""
 _PORT = re.compile(r":(\d{1,5})$")
 
 
@@ -237,8 +236,8 @@ def is_encrypted(connection: HTTPConnection) -> bool:
 
 
 def _cookie_name(connection: HTTPConnection, name: str) -> str:
-    """Return the name of a cookie under the scheme and the port of a request; cookies of others are not
-    read."""
+    """Return the name of a cookie under the scheme and the port of a request; cookies of other servers are
+    not read."""
     port = _PORT.search(connection.headers.get("host", ""))
     return _of_scheme(connection, f"{name}_{port[1]}" if port else name)
 

@@ -1,9 +1,9 @@
 """The routes of the API and the OpenAPI document.
 
-Repeated and unknown parameters of a request are refused, not guessed at. The document is what FastAPI knows,
-under published names, with every parameter described, every refusal as a problem of RFC 9457, and an example
-of each request and response: requests are written, as only some members go together; a response is made of
-its schema, so that it has every member.
+Repeated and unknown parameters of a request are refused, not guessed at. The document is FastAPI's, under
+published names, with every parameter described, every refusal as a problem of RFC 9457, and an example of
+each request and response: requests are written, because only some members go together; a response is made
+from its schema, so that it has every member.
 
 The names of schemas are those of their classes: clients are generated from them, so such a class is not
 renamed. ``tests/app/openapi_names.txt`` lists them and the operations, which have the names of their
@@ -34,7 +34,8 @@ from app.errors import CODES, Problem
 from bus.messages import Message
 
 MAX_MEMBERS = 1000
-"""Members of a JSON object; the largest has one for each of 255 units. An unknown one is a fault each."""
+"""The most members of a JSON object; the largest has one for each of 255 units. Each unknown one is a
+fault."""
 _HALF_PAIR = re.compile("[\ud800-\udfff]")
 _RouteHandler = Callable[[Request], Coroutine[Any, Any, Response]]
 RequestKey = Annotated[
@@ -49,10 +50,11 @@ RequestKey = Annotated[
 
 
 class ApiRoute(GuardedRoute):
-    """For ``APIRouter(route_class=ApiRoute)``.
+    """A route of the API, for ``APIRouter(route_class=ApiRoute)``, that refuses repeated and unknown
+    parameters.
 
-    Most servers take the last of two and pass over what they do not know. A filter with a slip in its name
-    would then let everything through, and of two setpoints one would be set that another program did not see.
+    Most servers take the last of two and ignore unknown ones. A filter with a slip in its name would then let
+    everything through, and of two setpoints one would be set that another program did not see.
     """
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:
@@ -86,7 +88,7 @@ class _OfOneMeaning(Request):
     """A request whose JSON has no repeated key (RFC 8259, 4 leaves open which of them would hold)."""
 
     async def json(self) -> Any:
-        """Raises Problem 422 for a key given twice."""
+        """Return the body as JSON. Raises Problem 422 for a repeated key."""
         body = await self.body()
         if len(body) <= MAX_PLAIN_BODY_BYTES:
             return _loads(body)
@@ -106,14 +108,14 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
             raise _twice(ascii(name))
         made[name] = value
     for name in made:
-        # Pydantic ignores a key with half a surrogate pair, even where unknown ones are forbidden.
+        # Pydantic ignores a key with half a surrogate pair, even if unknown ones are forbidden.
         if _HALF_PAIR.search(name):
             raise Problem(422, "invalid", Message.of("field_unknown", name=ascii(name)))
     return made
 
 
 def _check_query(query: QueryParams, known: Mapping[str, bool]) -> None:
-    """Raises Problem 422 for an unknown parameter, and for one given twice unless ``known`` allows it by its
+    """Raise Problem 422 for an unknown parameter, and for a repeated one unless ``known`` allows it by its
     name."""
     for name in query:
         if name not in known:
@@ -135,19 +137,19 @@ def _is_list(annotation: Any) -> bool:
 NEXT_PAGE: dict[int | str, dict[str, Any]] = {
     200: {"headers": {"Link": {"$ref": "#/components/headers/Link"}}},
 }
-"""For ``responses=``."""
+"""The header of a response with a next page, for ``responses=``."""
 
 
 def link_next(request: Request, response: Response, before: int) -> None:
-    """Name the page of what is before an id in the ``Link`` header (RFC 8288), with the other parameters of
-    the request."""
+    """Name the page before an id in the ``Link`` header (RFC 8288), with the other parameters of the
+    request."""
     url = request.url.include_query_params(before=before)
     response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'
 
 
 PARTS: dict[str, Any] = json.loads(Path(__file__).with_name("openapi_parts.json").read_text(encoding="utf-8"))
-"""What no signature states: descriptions of parameters by name (of a header in small letters) and of
-statuses, the header of every write, and the schemas of a refusal."""
+"""The parts that no signature states: descriptions of parameters by name (of a header in small letters) and
+of statuses, the header of every write, and the schemas of a refusal."""
 
 
 _RATE_LIMIT = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
@@ -189,8 +191,7 @@ def _usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[s
 
 
 def _problem_schemas(schemas: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the schemas of a problem, which also has the members of a command's result where one was
-    sent."""
+    """Return the schemas of a problem, which also has the members of a command's result if one was sent."""
     result, own = schemas["CommandResult"]["properties"], PARTS["schemas"]
     problem = {**own["Problem"], "properties": {**result, **own["Problem"]["properties"]}}
     return {**own, "Problem": problem, "ProblemCode": {**own["ProblemCode"], "enum": sorted(CODES)}}
@@ -213,7 +214,7 @@ async def openapi(request: Request, _: Viewer) -> Response:
 
 
 def rendered_once(app: FastAPI) -> Asset:
-    """Return the document as it is sent. Making it takes a second, compressing it tens of milliseconds."""
+    """Return the rendered document. Making it takes a second, compressing it tens of milliseconds."""
     known: Asset | None = getattr(app.state, "description", None)
     if known is None:
         text = json.dumps(openapi_document(app), ensure_ascii=False, separators=(",", ":"))
@@ -223,7 +224,7 @@ def rendered_once(app: FastAPI) -> Asset:
 
 
 def openapi_document(app: Any) -> dict[str, Any]:
-    """Return the document of an app. Raises ValueError where two schemas would have one name."""
+    """Return the document of an app. Raises ValueError if two schemas would have one name."""
     document = with_published_names(
         get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
     )
@@ -241,7 +242,7 @@ def openapi_document(app: Any) -> dict[str, Any]:
 
 
 def _complete(operation: dict[str, Any], *, is_write: bool) -> None:
-    """Add to an operation of the OpenAPI document what no signature states."""
+    """Add to an operation of the OpenAPI document the parts that no signature states."""
     for parameter in operation.get("parameters", ()):
         name = parameter["name"] if parameter["in"] != "header" else parameter["name"].lower()
         if name in PARTS["parameters"]:
@@ -252,7 +253,7 @@ def _complete(operation: dict[str, Any], *, is_write: bool) -> None:
             case {"anyOf": [schema, {"type": "null"}]}:
                 content["schema"] = schema
     if is_write:
-        # When the write was made: the server reads the header beside the routes. Its schema has no
+        # The header states when the write was made; the server reads it beside the routes. Its schema has no
         # ``format``: openapi-python-client generates no call with a ``date-time`` in a header.
         operation.setdefault("parameters", []).append(PARTS["sentAt"])
 
@@ -267,8 +268,8 @@ def schema_name(model: str) -> str:
 
 
 def with_published_names(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the document with every schema under its published name. Raises ValueError where two would have
-    one."""
+    """Return the document with every schema under its published name. Raises ValueError if two would have the
+    same."""
     schemas = document["components"]["schemas"]
     named = {schema_name(name): schema for name, schema in schemas.items()}
     if len(named) < len(schemas):
@@ -334,7 +335,7 @@ def _operations(document: Schema) -> Iterator[dict[str, Any]]:
 
 
 def _example_of(schema: Schema, schemas: Schema, name: str = "") -> Any:
-    """Return a value of the schema; ``name``: of the member that it is for."""
+    """Return a value of the schema; ``name``: that of the member that it is for."""
     match schema:
         case {"examples": [example, *_]}:
             return example

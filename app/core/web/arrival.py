@@ -1,9 +1,10 @@
-"""When a request was made, as far as it can be known, and how long its command may wait after that.
+"""The time at which a request was made, as far as it can be known, and how long its command may wait after
+that.
 
 Three clocks give the time, and the earliest is believed: the server, which stamps each request with the
-moment at which its first byte arrived (app/core/server/gate.py), a stall or a start of the server
-included; a program, in the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Clicked-At``
-or, where the browser sends the form itself, in the query ``clicked_at`` (static/js/review.js).
+moment at which its first byte arrived (app/core/server/gate.py), a stall or a start of the server included; a
+program, in the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Clicked-At`` or, if the
+browser sends the form itself, in the query ``clicked_at`` (static/js/review.js).
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ from bus.messages import Message, number
 SENT_AT = "lineside-sent-at"
 _CLICKED_AT = ("lineside-clicked-at", "lineside-asked-at")
 _CLICKED_AT_IN_QUERY = ("clicked_at", "asked_at")
-"""The second of each is of a page that was opened before version 0.2 and is open still."""
+"""The second name of each is for a page that was opened before version 0.2 and is still open."""
 MAX_AHEAD_S = 5.0
-"""How far a program's clock may be ahead of the server's."""
+"""The most seconds by which a program's clock may be ahead of the server's."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 
 
 def made_at(connection: HTTPConnection) -> Monotonic:
-    """Return when this request was made; of one that only reads, when it arrived.
+    """Return when this request was made; for one that only reads, when it arrived.
 
-    Raises Problem 422 where the ``Lineside-Sent-At`` of a write cannot be.
+    Raises Problem 422 if the ``Lineside-Sent-At`` of a write is impossible.
     """
     now = monotonic_now()
     arrived = Monotonic(connection.scope.get("state", {}).get(ARRIVED_AT, now))
@@ -43,7 +44,7 @@ def made_at(connection: HTTPConnection) -> Monotonic:
 
 
 def refuse_late(connection: HTTPConnection) -> None:
-    """Raises Problem 503 for a write that was too long on its way: what a long body takes is not counted.
+    """Raise Problem 503 for a write that was too long on its way; the time for a long body does not count.
     Reading is never late."""
     if not _only_reads(connection):
         begun_at = connection.scope.get("state", {}).get(BEGUN_AT)
@@ -55,7 +56,7 @@ def _only_reads(connection: HTTPConnection) -> bool:
 
 
 def _program_sent_at(connection: HTTPConnection) -> UnixTime | None:
-    """Return when a program says it sent the request, Unix time in seconds. Raises Problem 422."""
+    """Return when a program states that it sent the request, Unix time in seconds. Raises Problem 422."""
     given = connection.headers.getlist(SENT_AT)
     if not given:
         return None
@@ -78,7 +79,7 @@ def _moment(text: str) -> UnixTime | None:
 
 def _page_requested_at(connection: HTTPConnection) -> UnixTime | None:
     """Return when the person clicked, Unix time in seconds by the server's clock, which the page knows; None
-    if it does not say."""
+    if the page does not state it."""
     headers, query = connection.headers, connection.query_params
     given = [headers.get(name) for name in _CLICKED_AT] + [query.get(name) for name in _CLICKED_AT_IN_QUERY]
     value = next((each for each in given if each), "")
@@ -89,7 +90,7 @@ def _page_requested_at(connection: HTTPConnection) -> UnixTime | None:
 
 
 DEFAULT_TIMEOUT_S = 2.0
-"""How long after it was made a write may still be sent, by default."""
+"""The seconds for which a write may still be sent after it was made, by default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,11 +107,11 @@ class Deadline:
 
     @property
     def left_s(self) -> float:
-        """Return the seconds until the deadline; negative once it has passed."""
+        """The seconds until the deadline; negative once it has passed."""
         return self.made_at + self.timeout_s - monotonic_now()
 
     def refuse_passed(self, now: Monotonic | None = None) -> None:
-        """Raises Problem 503 ``not_sent`` once it has passed, or had by ``now``."""
+        """Raise Problem 503 ``not_sent`` once the deadline has passed, or had by ``now``."""
         left_s = self.left_s if now is None else self.made_at + self.timeout_s - now
         if left_s > 0:
             return

@@ -20,7 +20,7 @@ _PACKED = Path(__file__).resolve().parents[2] / "_assets"
 _STYLES_IMPORT = re.compile(rb'^@import "([\w./-]+)";$', re.MULTILINE)
 _STYLES_COMMENT = re.compile(rb"/\*.*?\*/\n?", re.DOTALL)
 _MODULE_COMMENT = re.compile(rb"^[ \t]*(?://[^\n]*|/\*(?:(?!\*/).)*\*/[ \t]*)$", re.DOTALL | re.MULTILINE)
-"""Of complete lines, so that no string has to be distinguished from it."""
+"""A comment on complete lines, which no string has to be distinguished from."""
 _MODULE_IMPORT = re.compile(r'^(?:import|export)\b(?!\()[^;]*?"(\.[\w./-]+)";$', re.MULTILINE)
 _MEDIA_TYPES = {
     ".css": "text/css",
@@ -31,7 +31,7 @@ _MEDIA_TYPES = {
     ".webmanifest": "application/manifest+json",
     ".woff2": "font/woff2",
 }
-"""Not by mimetypes, which keeps the thousand types of the system in memory."""
+"""The media types by suffix: mimetypes would keep the thousand types of the system in memory."""
 _TEXT = ("text/", "application/javascript", "application/json", "application/manifest+json", "image/svg+xml")
 
 
@@ -54,7 +54,7 @@ def docs_dir() -> Path:
 
 
 def _beside(name: str, path: str) -> str:
-    """Return the name of a file that another file names by its own place."""
+    """Return the name of a file that another file names relative to its own place."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(name), path))
 
 
@@ -78,7 +78,7 @@ class Asset:
         self.tag = f'"{hashlib.sha256(body).hexdigest()[:16]}"'
         """Identifies the content."""
         self._form: tuple[bytes, bool | None] = (body, None)
-        """With whether it is packed; None: that was not tried yet."""
+        """The content, and whether it is packed; None: not tried yet."""
 
     @property
     def body(self) -> bytes:
@@ -86,7 +86,7 @@ class Asset:
         return gzip.decompress(content) if is_packed else content
 
     def pack(self) -> bool:
-        """Gzip it with the first call, in any thread; return whether it is kept so."""
+        """Gzip the content with the first call, in any thread; return whether it is kept so."""
         content, is_packed = self._form
         if is_packed is None:
             is_text = self.media_type.startswith(_TEXT)
@@ -96,9 +96,9 @@ class Asset:
         return is_packed
 
     def response(self, request: Request, cache_control: str) -> Response:
-        """Send the file, gzipped for a client that takes it, and without content to one that has it
+        """Send the file, gzipped for a client that accepts it, and without content to one that has it
         already."""
-        # Weak: the same content may be sent in two encodings (RFC 9110, 8.8.1).
+        # The tag is weak: the same content may be sent in two encodings (RFC 9110, 8.8.1).
         headers = {"Cache-Control": cache_control, "Vary": "Accept-Encoding", "ETag": f"W/{self.tag}"}
         if self.tag in request.headers.get("if-none-match", ""):
             return Response(status_code=304, headers=headers)
@@ -109,8 +109,8 @@ class Asset:
 
 
 class Assets:
-    """All files below one folder. Their address holds one hash of all of them, so that a module's
-    relative import stays inside the same version."""
+    """All files below one folder. Their address holds one hash of all of them, so that a module's relative
+    import stays inside the same version."""
 
     def __init__(self, folder: Path) -> None:
         self._files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*"))}
@@ -131,7 +131,7 @@ class Assets:
         return f"/static/{self.version}/{name}"
 
     def get(self, name: str) -> Asset:
-        """Raises Problem 404."""
+        """Return a file by its name. Raises Problem 404 for an unknown one."""
         if name not in self._files:
             raise Problem(404, "not_found", Message.of("no_such_file", path=name))
         if name not in self._loaded:
@@ -140,16 +140,16 @@ class Assets:
         return self._loaded[name]
 
     def _read(self, name: str) -> bytes:
-        """Read a file without comments, which are a quarter of what a first visit loads; a stylesheet with
-        what it imports, as a request for every part would keep the first page waiting."""
+        """Read a file without comments, which are a quarter of a first visit's bytes; a stylesheet with its
+        imports, because a request for every part would keep the first page waiting."""
         body = _without_comments(name, self._files[name].read_bytes())
         if not name.endswith(".css"):
             return body
         return _STYLES_IMPORT.sub(lambda found: self._read(_beside(name, found[1].decode())), body)
 
     def imports(self, module: str) -> list[str]:
-        """Return the addresses of every module that one needs before it runs, for a page to request all at
-        once. What it imports later, by a call, is left out. Raises Problem 404."""
+        """Return the addresses of all modules that a module needs before it runs, for a page to request at
+        once. Later imports, by a call, are left out. Raises Problem 404."""
         if module not in self._imports:
             needed: dict[str, None] = {}
             self._add_imports(module, needed)

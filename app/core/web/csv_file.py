@@ -19,14 +19,14 @@ from app.core.web.templating import templates_of
 from bus.messages import Message
 
 BYTE_ORDER_MARK = "\ufeff"
-"""Spreadsheets take text for UTF-8 by this mark alone."""
+"""The mark by which alone spreadsheets take text for UTF-8."""
 CSV: dict[int | str, dict[str, Any]] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
 """The response in the OpenAPI document."""
 _NUMBER = re.compile(r"-?[\d.,]+")
 _PLAIN_NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 _FORMULA = re.compile(r"^(?=[\t\r\n])|(?:^|(?<=[;\t\r\n]))(?=[ \"]*[=+\-@\uff1d\uff0b\uff0d\uff20])")
-"""Where a spreadsheet takes what follows for a formula: where a cell begins, by a semicolon, which separates
-cells in most of Europe, too; the wide signs count in Japanese."""
+"""Places from which on a spreadsheet takes text for a formula: the beginning of a cell, after a semicolon
+too, which separates cells in most of Europe; the wide signs count in Japanese."""
 _UTC_OFFSET = slice(16, None)
 
 
@@ -41,7 +41,7 @@ Cell = str | int | float | datetime | Message | None
 
 class Column(NamedTuple):
     """A heading: its name for programs, its text for readers; ``is_time``: readers get the offset from UTC in
-    a column of its own, so that a spreadsheet takes the time for one."""
+    a column of its own, so that a spreadsheet recognizes the time."""
 
     name: str
     text: Message | str
@@ -50,7 +50,8 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CsvForm:
-    """How the cells of a file are written. ``language``: that of its reader, None for programs."""
+    """The form in which the cells of a file are written. ``language``: that of its reader, None for
+    programs."""
 
     language: Language | None = None
     zone: tzinfo = field(default_factory=lambda: ZoneInfo("UTC"))
@@ -58,7 +59,7 @@ class CsvForm:
 
     @property
     def _separator(self) -> str:
-        # Where a comma is the decimal sign, spreadsheets expect semicolons.
+        # In languages with a decimal comma, spreadsheets expect semicolons.
         return ";" if self.decimal_sign == "," else ","
 
     def head(self, columns: Sequence[Column]) -> str:
@@ -112,7 +113,7 @@ class CsvForm:
 
 
 def guarded(text: str) -> str:
-    """Return text that a spreadsheet would take for a formula marked as text (OWASP, CSV injection)."""
+    """Mark a text as text if a spreadsheet would take it for a formula (OWASP, CSV injection)."""
     return text if _NUMBER.fullmatch(text) else _FORMULA.sub("'", text)
 
 
@@ -128,7 +129,8 @@ async def _wanted_form(
     request: Request,
     form: Annotated[Literal["data", "reader"], Query()] = "data",
 ) -> CsvForm:
-    """Return the form that a request names: ``reader`` is for the spreadsheet of whoever downloads it."""
+    """Return the form that a request names: ``reader`` is for the spreadsheet of the person who downloads
+    it."""
     templates = templates_of(request)
     if form == "data":
         return FOR_PROGRAMS

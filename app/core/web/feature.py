@@ -1,5 +1,5 @@
-"""Pages and files for everyone, signed in or not: static files, the sign of life, and what makes the pages an
-app on a device (manifest, service worker, the page for no connection).
+"""Pages and files for everyone, signed in or not: static files, the sign of life, and the parts that make the
+pages an app on a device (manifest, service worker, the page for no connection).
 
 The service worker keeps nothing but that page: old values must never look like new ones.
 """
@@ -22,7 +22,7 @@ from app.feature import Feature, Services
 
 router = APIRouter(dependencies=[Depends(public)], include_in_schema=False, route_class=GuardedRoute)
 KEPT = ("css/lineside.css", "js/theme.js", "js/offline.js", "icons/sprite.svg")
-"""What the service worker keeps, for the page for no connection."""
+"""The files that the service worker keeps, for the page for no connection."""
 OFFLINE = "/offline"
 FOREVER = "public, max-age=31536000, immutable"
 

@@ -16,9 +16,9 @@ from bus.messages import Message, term
 
 HALF_DAY_S = 43_200
 UNKNOWN = "\N{EN DASH}"
-"""Shown in place of a value that was never read."""
+"""The text in place of a value that was never read."""
 MINUS = "\N{MINUS SIGN}"
-"""As wide as a plus, which the hyphen is not."""
+"""A minus that is as wide as a plus, which the hyphen is not."""
 
 
 def lasting(seconds: float) -> str:
@@ -41,7 +41,7 @@ _TYPED_TIME = re.compile(
 
 
 _RECENT = ((term("Today"), 0, 0), (term("Yesterday"), 1, 1), (term("Last 7 days"), 6, 0))
-"""Spans of days, by how many days ago they begin and end."""
+"""Spans of days, each with how many days ago it begins and ends."""
 
 
 class Formats:
@@ -51,7 +51,7 @@ class Formats:
         self.locale = locale_of(locale)
         self.decimal_sign = get_decimal_symbol(self.locale)
         self._zone = ZoneInfo(time_zone)
-        # Where a date has strokes, its day and month may be mistaken for each other: there it is ISO 8601.
+        # Dates with strokes may be mistaken in day and month: their locales get ISO 8601 instead.
         has_dots = "." in self.locale.date_formats["short"].pattern
         self._field_day = "%d.%m.%Y" if has_dots else "%Y-%m-%d"
 

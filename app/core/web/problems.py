@@ -1,4 +1,4 @@
-"""Turns every refusal and failure into RFC 9457 for programs, and into a page or fragment for people."""
+"""The responses to refusals and failures: RFC 9457 for programs, a page or fragment for people."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ _CODES: dict[int, ProblemCode] = {
 }
 
 RETRY_AFTER_S = 2
-"""Until a request is worth a second try, where nothing better is known."""
+"""The seconds until a request is worth a second try, if nothing better is known."""
 MAX_FAULTS = 20
-"""Faults of one body that are named."""
+"""The most faults of one body that are named."""
 
 
 def wants_json(connection: HTTPConnection) -> bool:
-    """Return whether a program sent it: the API, and clients that accept no HTML elsewhere."""
+    """Return whether a program sent the request: to the API, or elsewhere without accepting HTML."""
     path = connection.scope["path"]
     if path.startswith("/api/") or path in ("/metrics", "/healthz"):
         return True
@@ -53,7 +53,7 @@ def wants_json(connection: HTTPConnection) -> bool:
 
 
 def is_fragment(connection: HTTPConnection) -> bool:
-    """Return whether htmx sent it, to swap the response into an open page."""
+    """Return whether htmx sent the request, to swap the response into an open page."""
     return connection.headers.get("hx-request") == "true"
 
 
@@ -71,7 +71,7 @@ class _ProblemResponse(JSONResponse):
 def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
     """Return the problem as ``application/problem+json``; ``detail`` replaces its English text."""
     reason = reason_shown(problem.message)
-    # A value that is a member of the problem is stated there alone.
+    # A value that is a member of the problem is stated only there.
     params = {name: value for name, value in reason["params"].items() if name not in problem.extra}
     content = {
         "type": "about:blank",
@@ -87,7 +87,7 @@ def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
 
 
 async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
-    """Refuse a handshake by an HTTP response where the server can, else by a close code 4000 + status."""
+    """Refuse a handshake by an HTTP response if the server can, else by a close code 4000 + status."""
     if "websocket.http.response" in socket.scope.get("extensions", {}):
         await socket.send_denial_response(problem_json(problem))
     else:
@@ -96,8 +96,8 @@ async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
 
 def respond(request: HTTPConnection, problem: Problem) -> Response:
     """Return the problem in the form that the client can read."""
-    # Of a read alone: clients such as urllib3 repeat a PUT on their own where a 503 has a time, and a
-    # command is never sent late.
+    # Only for a read: clients such as urllib3 repeat a PUT on their own if a 503 has a time, and a command is
+    # never sent late.
     if problem.status == 503 and request.scope.get("method") in ("GET", "HEAD"):
         problem.headers.setdefault("Retry-After", str(RETRY_AFTER_S))
     if wants_json(request):
@@ -112,7 +112,7 @@ def respond(request: HTTPConnection, problem: Problem) -> Response:
 def _page_left(request: HTTPConnection) -> str:
     """Return the path of the page whose form was sent; empty if the browser does not name it."""
     page = urlsplit(request.headers.get("referer", ""))
-    # Browsers take two slashes for another host.
+    # Browsers read two slashes as another host.
     path = f"/{page.path.lstrip('/')}" if page.scheme in ("http", "https") else ""
     return f"{path}?{page.query}" if path and page.query else path
 
@@ -155,8 +155,8 @@ def _methods(request: HTTPConnection) -> list[str]:
 
 
 def is_below_a_path(connection: HTTPConnection) -> bool:
-    """Return whether the path is none of ours, but is one without its first part: a proxy serves us below a
-    path."""
+    """Return whether the path is unknown here, but known without its first part: a proxy then serves us below
+    a path."""
     scope, routes = connection.scope, connection.scope["app"].routes
     tail = scope["path"][1:].partition("/")
     candidates = ({**scope, "path": f"/{tail[2]}"}, scope)
@@ -165,7 +165,7 @@ def is_below_a_path(connection: HTTPConnection) -> bool:
 
 
 def _of_http(request: HTTPConnection, error: HTTPException) -> Problem:
-    """Return what Starlette and FastAPI refuse as a problem."""
+    """Return a refusal by Starlette or FastAPI as a problem."""
     path = request.url.path
     match error.status_code:
         case _ if isinstance(error.__cause__, Problem):
@@ -214,7 +214,7 @@ async def _on_error(request: Request | WebSocket, error: Exception) -> Response 
     if isinstance(error, Problem) and isinstance(request, WebSocket):
         await refuse_socket(request, error)
         return None
-    # The client went away in the middle of its body: no page is needed.
+    # The client has left in the middle of its body: no page is needed.
     is_gone = isinstance(error.__cause__, ClientDisconnect)
     if isinstance(error, HTTPException) and (is_gone or error.status_code in (204, 304)):
         return Response(status_code=error.status_code)

@@ -2,11 +2,11 @@
 
 A request that changes something, and every WebSocket handshake, must come from our own pages if a browser
 sends it: browsers name the page's origin in ``Origin``. A request without ``Origin`` is not from a browser's
-foreign page, as all browsers send it with such requests, so scripts need not invent one. ``Origin`` alone
-does not protect a server that responds under every name: a page whose name is given our address afterwards
-(DNS rebinding) is of one origin with us for the browser.
+foreign page, because all browsers send it with such requests, so scripts need not invent one. ``Origin``
+alone does not protect a server that responds under every name: a page whose name is given our address
+afterwards (DNS rebinding) is of one origin with us for the browser.
 
-The bounds also keep out what the libraries below handle in more than linear time.
+The bounds also keep out input that the libraries below handle in more than linear time.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _foreign_problem(scope: Scope) -> Problem | None:
 
 
 def _foreign_message(headers: Headers) -> Message:
-    """Return the reason, which names the header that a proxy has to pass for its page to be ours."""
+    """Return the reason, which names the header that a proxy has to pass so that its page counts as ours."""
     origin, host = headers.get("origin", "another site"), headers.get("host", "")
     forwarded = headers.get("x-forwarded-host", "")
     if "://" not in origin:
@@ -90,16 +90,17 @@ async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -
 
 
 FOR_PEOPLE = ("below_a_path", "foreign_origin", "too_large")
-"""Codes of what a person meets behind a proxy; other refusals show nothing of the site."""
+"""Codes of refusals that a person meets behind a proxy; others show nothing of the site."""
 ONCE = (
     *("host", "origin", "authorization", "idempotency-key"),
     *("content-type", "content-encoding", "transfer-encoding"),
 )
-"""Headers that may be there once: of two, a proxy may have believed one and we the other (RFC 9110, 5.3)."""
+"""Headers that may occur only once: of two, a proxy may have believed one and we the other (RFC 9110,
+5.3)."""
 
 
 def _header_problem(scope: Scope) -> Problem | None:
-    """Return the refusal of a header given twice, a missing Host, a path below which a proxy serves us, or a
+    """Return the refusal of a repeated header, a missing Host, a path below which a proxy serves us, or a
     coding of the body that is not decoded."""
     headers = Headers(scope=scope)
     for name in ONCE:
@@ -123,11 +124,11 @@ def _unknown_coding(name: str, status: int) -> Problem:
 
 LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
 HEALTH = "/healthz"
-"""Path of probes, which request it by address and learn only that the server is up."""
+"""The path of probes, which request it by address and learn only that the server is up."""
 
 
 def _host_problem(scope: Scope, allowed: Collection[str]) -> Problem | None:
-    """Return the refusal, 421, of a request under any name but the allowed ones; an empty list allows all."""
+    """Return the refusal (421) of a request under any but the allowed names; an empty list allows all."""
     if not allowed or scope["path"] == HEALTH:
         return None
     host = host_name(Headers(scope=scope).get("host", ""))
@@ -153,17 +154,17 @@ def _is_local(scope: Scope, host: str) -> bool:
 
 
 MAX_BODY_BYTES = 2 * 1024 * 1024
-"""Bound of a body that carries a file of parameter sets: 255 units take 0.7 MB."""
+"""The most bytes of a body with a file of parameter sets: 255 units take 0.7 MB."""
 MAX_PLAIN_BODY_BYTES = 64 * 1024
-"""Bound of any other body: the largest are the setpoints of 255 units."""
+"""The most bytes of any other body: the largest are the setpoints of 255 units."""
 MAX_PATH = 1000
 MAX_QUERY = 20_000
-"""Bytes; the longest that a page makes names a value of each of 255 units."""
+"""The most bytes of a query; the longest of a page names a value of each of 255 units."""
 FIRST_YEAR, LAST_YEAR = 1970, 9998
-"""Years in which every instant has a date in every time zone."""
+"""The years in which every instant has a date in every time zone."""
 MAX_PARAMETERS = 600
 MAX_CONTENT_TYPE = 200
-"""A boundary of a multipart body has at most 70 characters (RFC 2046, 5.1.1)."""
+"""The most characters; a boundary of a multipart body has at most 70 (RFC 2046, 5.1.1)."""
 
 
 def request_problem(scope: Scope, allowed_hosts: Collection[str]) -> Problem | None:
@@ -178,8 +179,8 @@ def request_problem(scope: Scope, allowed_hosts: Collection[str]) -> Problem | N
 
 
 def bounded(scope: Scope, receive: Receive, most_bytes: int) -> Receive:
-    """Return ``receive`` for a body of at most ``most_bytes``. Raises Problem 413 for one whose length is
-    announced to be more, and in ``receive`` where it turns out to be."""
+    """Return ``receive`` for a body of at most ``most_bytes``. Raises Problem 413 if a larger length is
+    announced, and in ``receive`` if the body turns out to be larger."""
     announced = parse_integer(Headers(scope=scope).get("content-length", ""))
     if announced is not None and announced > most_bytes:
         raise _too_large(most_bytes)
@@ -205,14 +206,14 @@ def _out_of_bounds(scope: Scope) -> Problem | None:
     if len(content_type) > MAX_CONTENT_TYPE:
         return Problem(415, "unsupported_type", Message("content_type_too_long"))
     if content_type.lower().startswith("multipart/") and "charset" in content_type.lower():
-        # The parts would be decoded by any codec that Python has: punycode takes n² steps.
+        # The parts would be decoded by any codec of Python: punycode takes n² steps.
         return Problem(415, "unsupported_type", Message("form_charset"))
     return None
 
 
 def readable(headers: list[tuple[bytes, bytes]]) -> Iterator[tuple[bytes, bytes]]:
-    """Yield the headers without the cookies that have a quotation mark. None of ours has, and to unquote one
-    takes n² steps (CVE-2024-7592, Python before 3.11.10)."""
+    """Yield the headers without the cookies that have a quotation mark. None of ours has one, and to unquote
+    it takes n² steps (CVE-2024-7592, Python before 3.11.10)."""
     for name, value in headers:
         if name == b"cookie" and b'"' in value:
             value = b";".join(pair for pair in value.split(b";") if b'"' not in pair)
@@ -231,12 +232,12 @@ _THREAD = ThreadPoolExecutor(1, thread_name_prefix="parsing")
 
 
 async def parse_apart(parse: Callable[[], T]) -> T:
-    """Run ``parse`` in the thread for large input, one after the other, and return its result."""
+    """Run ``parse`` in the thread for large input, one call at a time, and return its result."""
     return await asyncio.get_running_loop().run_in_executor(_THREAD, parse)
 
 
 def refuse_year(at: datetime, name: str) -> None:
-    """Raise Problem 422 for the time that ``name`` gives where it has no date in some time zone, or is before
+    """Raise Problem 422 for the time that ``name`` gives if it has no date in some time zone, or is before
     any record."""
     if not FIRST_YEAR <= at.year <= LAST_YEAR:
         years = {"lowest": FIRST_YEAR, "highest": LAST_YEAR, "year": at.year}

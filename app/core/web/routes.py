@@ -1,7 +1,7 @@
-"""What stands before every route: its grant, the bound of its body, and its turn.
+"""The guard of every route: its grant, the bound of its body, and its turn.
 
-Every route declares a role or is public, and is not served otherwise. What costs much has turns: an
-account has few at a time, and while its other requests wait, those of other people go on. Requests without a
+Every route declares a role or is public, and is not served otherwise. Costly requests have turns: an account
+has few at a time, and while its other requests wait, those of other people continue. Requests without a
 caller have turns by address, so that a flood of them delays itself.
 """
 
@@ -34,8 +34,8 @@ from bus.pacing import Bucket
 
 
 def as_get(scope: Scope, send: Send) -> tuple[Scope, Send]:
-    """Return a HEAD request as the GET that its route knows, and what sends the response. The server leaves
-    the body out, as it knows the method; a stream ends with its first piece."""
+    """Return a HEAD request as the GET that its route knows, and the function that sends its response. The
+    server, which knows the method, leaves the body out; a stream ends with its first piece."""
     is_complete = False
 
     async def send_head(message: Message) -> None:
@@ -44,7 +44,7 @@ def as_get(scope: Scope, send: Send) -> tuple[Scope, Send]:
             return
         await send(message)
         if message.get("more_body"):
-            # What streams the rest learns from ``receive`` that the response is complete.
+            # A stream learns from ``receive`` that the response is complete.
             is_complete = True
             await send({"type": "http.response.body", "body": b"", "more_body": False})
 
@@ -62,7 +62,7 @@ class GuardedRoute(APIRoute):
     """
 
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:
-        """Note what finds the route of a request, and the address of a route; ``options`` are FastAPI's."""
+        """Note the parts that find the route of a request, and its address; ``options`` are FastAPI's."""
         methods = options.get("methods") or ["GET"]
         described = options.get("include_in_schema", True)
         name = options.get("name")
@@ -70,7 +70,7 @@ class GuardedRoute(APIRoute):
         self.methods = {method.upper() for method in methods}
         self._beginning = path.partition("{")[0]
         self._options: dict[str, Any] | None = options
-        del self.app  # it is the analyzed one's
+        del self.app  # It is the analyzed one's.
 
     def matches(self, scope: Scope) -> tuple[Match, Scope]:
         """Match the path, after a look at its beginning: a request passes some hundred routes before its
@@ -84,7 +84,8 @@ class GuardedRoute(APIRoute):
         return options
 
     def __getattr__(self, name: str) -> Any:
-        """Return what the analysis finds. It may be awaited by a thread that writes the OpenAPI document."""
+        """Return an attribute from the analysis. A thread that writes the OpenAPI document may wait for
+        it."""
         with _ANALYZING:
             options = self.__dict__.pop("_options", None)
             if options is not None:
@@ -93,7 +94,7 @@ class GuardedRoute(APIRoute):
 
     @cached_property
     def guard(self) -> RouteGuard:
-        """The app of this route and what stands before it."""
+        """The app of this route behind its guard."""
         return RouteGuard(self)
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -104,7 +105,7 @@ class GuardedRoute(APIRoute):
 
 
 def calls_of(route: APIRoute | APIWebSocketRoute) -> Iterator[Any]:
-    """Yield all that FastAPI calls before a route."""
+    """Yield all functions that FastAPI calls before a route."""
     waiting = [route.dependant]
     while waiting:
         for dependency in waiting.pop().dependencies:
@@ -113,7 +114,7 @@ def calls_of(route: APIRoute | APIWebSocketRoute) -> Iterator[Any]:
 
 
 def refuse_unguarded(app: FastAPI) -> None:
-    """Raises RuntimeError naming the first route that has no guard."""
+    """Raise RuntimeError naming the first route that has no guard."""
     for route in app.routes:
         if isinstance(route, APIRoute) and not isinstance(route, GuardedRoute):
             raise RuntimeError(f"{route.path} has no guard: declare it with route_class=GuardedRoute")
@@ -123,15 +124,15 @@ class RouteGuard:
     """The guard of a route: it grants the role that a route requires, bounds the body and waits for a turn,
     before the route reads anything: FastAPI reads and parses a body first and checks the role then.
 
-    A route with files declares their size by FastAPI's ``max_body_size``. One that is a `SEARCH` or a
-    `DOWNLOAD` has its turn until its response is sent. Every other GET has it until its response is made: to
-    render a page of a long line takes the event loop tens of milliseconds, and the requests of others come in
-    between; a stream that lasts delays no other request.
+    A route with files declares their size by FastAPI's ``max_body_size``. A `SEARCH` or a `DOWNLOAD` has its
+    turn until its response is sent. Every other GET has it until its response is made: rendering a page of a
+    long line takes the event loop tens of milliseconds, and the requests of others come in between; a stream
+    that lasts delays no other request.
     """
 
     def __init__(self, route: APIRoute) -> None:
-        """Raises RuntimeError for a route that declares neither a role nor that it is public: it is never
-        served."""
+        """Make the guard. Raises RuntimeError for a route that declares neither a role nor that it is public:
+        it is never served."""
         calls = list(calls_of(route))
         self._app = route.app
         self._requirements = [call for call in calls if isinstance(call, Requires)]
@@ -171,8 +172,9 @@ MAX_WAITING = 30
 """How many searches, and how many downloads, of an account may wait."""
 MAX_READS = 2
 REST, MOST_REST_S = 2.0, 0.5
-"""How many times as long as a read took its place stays free, and for how long at most. A command needs the
-event loop some twenty times, and would otherwise wait for another page of that account each time."""
+"""The factor by which a read's place stays free longer than the read took, and the most seconds. A command
+needs the event loop some twenty times, and would otherwise wait for another page of that account each
+time."""
 MAX_WAITING_READS = 200
 """How many other reads of an account may wait."""
 
@@ -188,7 +190,7 @@ class Turns:
             inf, MAX_READS, MAX_WAITING_READS, rest=REST, most_rest_s=MOST_REST_S
         )
     )
-    """Everything else that is read."""
+    """The queue of everything else that is read."""
 
 
 async def _search(_: Viewer) -> None: ...
@@ -205,21 +207,19 @@ SEARCH, DOWNLOAD = Depends(_search), Depends(_download)
 ANONYMOUS_AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
 ANONYMOUS_WAITING, MAX_WAITING_OF_ADDRESS = 512, 64
 ANONYMOUS_REST = 4.0
-"""To render the login page takes the event loop milliseconds, and a command needs the loop some twenty times:
+"""Rendering the login page takes the event loop milliseconds, and a command needs the loop some twenty times:
 without the rest it would wait for another page each time."""
 
 
 class AnonymousLimiter:
     """ASGI middleware that serves a request without a caller in its turn, and only once its body has arrived.
-
     Otherwise a burst of them would begin in one iteration of the event loop, before everyone else's requests.
-    ``exempt``: paths that cost the loop next to nothing, or have other turns.
-    """
+    ``exempt``: paths that cost the loop next to nothing, or have other turns."""
 
     def __init__(self, app: ASGIApp, exempt: Collection[str] = (HEALTH,)) -> None:
         self._app = app
         self._exempt = exempt
-        # Half of what may wait is for known keys, and no address is known.
+        # Half of the waiting places is for known keys, and no address is known.
         self._turns: FairQueue[str] = FairQueue(
             ANONYMOUS_AT_ONCE,
             AT_ONCE_OF_ADDRESS,
@@ -262,8 +262,8 @@ def _replaying(body: bytes, receive: Receive) -> Receive:
 
 @dataclass(frozen=True, slots=True)
 class RateLimit:
-    """How often something may be done, for the ``RateLimit`` headers. ``limit``: so many at once;
-    ``remaining``: of them now; ``reset_s``: seconds until all are there again.
+    """A limit of a rate, for the ``RateLimit`` headers. ``limit``: so many at once; ``remaining``: so many
+    now; ``reset_s``: seconds until all are there again.
 
     The three headers are those of the IETF draft "RateLimit header fields for HTTP" up to its version 6,
     which clients and gateways read. Its later versions have one structured field, which few read.
@@ -281,7 +281,7 @@ class RateLimit:
 
     @property
     def headers(self) -> dict[str, str]:
-        """Return the headers by their names."""
+        """The headers by their names."""
         return {
             "RateLimit-Limit": str(self.limit),
             "RateLimit-Remaining": str(self.remaining),

@@ -1,4 +1,4 @@
-"""How a route reaches a service of the app: by its type. A bus that is not configured is refused."""
+"""The lookup of a service of the app by a route: by its type. A bus that is not configured is refused."""
 
 from __future__ import annotations
 
@@ -27,10 +27,8 @@ S = TypeVar("S")
 
 
 class Registry:
-    """The services of an app, one of each type; ``buses``: those of each bus, by its name.
-
-    Raises RuntimeError for two services of one type: a route could not choose between them.
-    """
+    """The services of an app, one of each type; ``buses``: those of each bus, by its name. Raises
+    RuntimeError for two services of one type: a route could not choose between them."""
 
     def __init__(
         self, services: Iterable[object] = (), buses: Mapping[str, Iterable[object]] | None = None
@@ -41,7 +39,7 @@ class Registry:
             self.add(each)
 
     def add(self, service: S, kind: type[S] | None = None) -> S:
-        """Return ``service``, which is now found by its type, or by the more general ``kind``."""
+        """Add a service, to be found by its type, or by the more general ``kind``; return it."""
         kind = kind or type(service)
         if self._services.setdefault(kind, service) is not service:
             raise RuntimeError(f"two services of the type {kind.__qualname__}")

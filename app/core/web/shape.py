@@ -27,7 +27,7 @@ from bus.messages import ENGLISH, Message, shown
 
 
 class StrictBody(BaseModel):
-    """A body in which nothing is unknown, nothing is converted and no number is infinite."""
+    """A body without unknown members, conversions and infinite numbers."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -42,7 +42,7 @@ def _each_once(numbers: list[int]) -> list[int]:
 UnitAddresses = Annotated[
     list[Annotated[int, Field(ge=1, le=255)]], Field(max_length=255), AfterValidator(_each_once)
 ]
-"""Addresses (#17)."""
+"""Addresses of units (#17)."""
 Numbers = Annotated[
     list[Annotated[int, Field(ge=1, le=40)]], Field(max_length=40), AfterValidator(_each_once)
 ]
@@ -52,7 +52,7 @@ Numbers = Annotated[
 DATE_TIME = {"type": "string", "format": "date-time"}
 """The schema of an instant: RFC 3339, which ISO 8601 with a zone is."""
 Instant = Annotated[str, WithJsonSchema(DATE_TIME)]
-"""As :func:`iso` writes it."""
+"""An instant as :func:`iso` writes it."""
 MaybeInstant = Instant | None
 
 
@@ -66,7 +66,7 @@ InstantObject = Annotated[UnixTime, PlainSerializer(iso, return_type=Instant)]
 
 
 def _refuse_number(value: object) -> object:
-    """Refuse seconds since the epoch, which pydantic takes for a time also where a text gives them."""
+    """Refuse seconds since the epoch, which pydantic takes for a time even if they are text."""
     if isinstance(value, int | float) or (isinstance(value, str) and ":" not in value):
         raise ValueError(Message("fault_not_a_time"))
     return value
@@ -86,7 +86,7 @@ def parse_integer(text: str, digits: int = 18) -> int | None:
 
 
 async def json_response(content: Callable[[], object]) -> Response:
-    """Send long content as JSON, made in a thread so that the event loop goes on."""
+    """Send long content as JSON, made in a thread so that the event loop continues."""
     body = await asyncio.to_thread(lambda: msgspec.json.encode(content()))
     return Response(body, media_type="application/json")
 
@@ -105,7 +105,7 @@ MaybeMessage = Annotated[
 
 
 class ReasonShown(TypedDict):
-    """A text for programs in the response that it is the text of."""
+    """The text of a response for programs."""
 
     reason: Annotated[str, Field(description="Which text detail is: more exact than code.")]
     params: Annotated[dict[str, int | float | str], Field(description="The values in detail, by name.")]
@@ -117,13 +117,13 @@ _REMARKS = frozenset({"nothing_sent", "outcome_because"})
 
 
 def _subject(message: Message) -> Message:
-    """Return the message that a text is about, without the remarks that were added to it."""
+    """Return the message at the core of a text, without the remarks that were added to it."""
     inner = message.params.get("reason") if message.code in _REMARKS else None
     return _subject(inner) if isinstance(inner, Message) else message
 
 
 def reason_shown(message: Message) -> ReasonShown:
-    """Return a text with the code and the values of what it is about, each value a number or an English
+    """Return a text with the code and the values of its core message, each value a number or an English
     text."""
     subject = _subject(message)
     params = {
@@ -142,5 +142,5 @@ MessageObject = Annotated[InstanceOf[Message], PlainSerializer(message_shown, re
 
 
 def maybe_shown(message: Message | None) -> MessageShown | None:
-    """Return a message as programs get it; None for none."""
+    """Return a message in the form for programs; None for None."""
     return None if message is None else message_shown(message)

@@ -26,8 +26,8 @@ from bus.messages import Message, parameter_name
 
 
 class Compiled(FileSystemBytecodeCache):
-    """A store of compiled templates: compiling what the first page needs takes a tenth of a second. One
-    changed file is compiled again; a folder that cannot be written costs that time and nothing else."""
+    """A store of compiled templates: compiling those of the first page takes a tenth of a second. One changed
+    file is compiled again; a folder that cannot be written costs only that time."""
 
     def __init__(self, folder: Path) -> None:
         with suppress(OSError):
@@ -47,12 +47,13 @@ class Compiled(FileSystemBytecodeCache):
 WEBSOCKET_LINES = (
     'proxy_http_version 1.1; proxy_set_header Upgrade $http_upgrade; proxy_set_header Connection "upgrade";'
 )
-"""What makes nginx pass WebSockets."""
+"""The lines that make nginx pass WebSockets."""
 
 
 LANGUAGE_COOKIE = "lineside_language"
 PagePart = Callable[[Caller | None, Language], Any]
-"""Gives what a reader is shown on every page, in the reader's language, from its first paint."""
+"""A function that returns a part of every page for a reader, in the reader's language, from its first
+paint."""
 
 
 class Templates:
@@ -61,7 +62,7 @@ class Templates:
     the filters ``parameter``, which names one by its number, and ``isolated``, for a name beside other text;
     in a page or fragment of a request also ``person``, ``request``, ``path``, ``has_lines()``,
     ``page_groups()``, the `parts` of features, and ``may()``, whether the person may send a command or
-    perform an act, by its name. ``kept_in``: where they stay compiled between two starts."""
+    perform an act, by its name. ``kept_in``: the folder of compiled templates between two starts."""
 
     def __init__(
         self,
@@ -78,7 +79,7 @@ class Templates:
         self.page_digest = page_digest
         self._demo = demo
         self.parts: dict[str, PagePart] = {}
-        """What features show on every page, by the name of the function in a template."""
+        """The parts that features show on every page, by the name of the function in a template."""
         self._roles: dict[str, Role] = {}
         self._assets = assets
         self._loader = FileSystemLoader(folder)
@@ -128,15 +129,14 @@ class Templates:
         return self.environment(tag).get_template(name).render(context)
 
     def permit(self, roles: Mapping[str, Role]) -> None:
-        """Add what needs a role, by the name that templates give to ``may()``. Raises RuntimeError for a name
-        that is there already."""
+        """Add acts and commands with their roles, by the name that templates give to ``may()``. Raises
+        RuntimeError for a name that exists already."""
         if twice := roles.keys() & self._roles.keys():
             raise RuntimeError(f"two commands or acts are named {', '.join(sorted(twice))}")
         self._roles |= roles
 
     def may(self, person: Caller | None, name: str) -> bool:
-        """Return whether ``person`` may send a command or perform an act; each interface refuses the
-        others."""
+        """Return whether ``person`` may send a command or perform an act; each interface refuses others."""
         return person is not None and person.role.includes(self._roles[name])
 
     def language_of(self, connection: HTTPConnection) -> Language:
@@ -189,8 +189,8 @@ def render(
 
 @dataclass(frozen=True, slots=True)
 class PageLines:
-    """The lines of the site. ``has_several``: there is a choice, also by a peer; ``has_own``: this server has
-    a bus."""
+    """The lines of the site. ``has_several``: whether there is a choice, counting peers; ``has_own``: whether
+    this server has a bus."""
 
     has_several: bool
     has_own: bool
@@ -202,8 +202,8 @@ class PageLines:
 
 
 class PageLink(NamedTuple):
-    """``key``: what a template sets as ``here``; ``drawing``: in the icons, empty for a tab; ``act``: what a
-    person must be permitted to do."""
+    """A page in the rail. ``key``: the value that a template sets as ``here``; ``drawing``: in the icons,
+    empty for a tab; ``act``: the act that a person must be permitted."""
 
     key: str
     href: str
@@ -213,8 +213,8 @@ class PageLink(NamedTuple):
 
 
 class PageGroup(NamedTuple):
-    """Pages that stand together in the rail. ``drawing``: of the one item that the rail has for all of them,
-    where they are tabs; empty: each has its own."""
+    """Pages that stand together in the rail. ``drawing``: that of the one item that stands for all of them if
+    they are tabs; empty: each has its own."""
 
     label: Message
     pages: Sequence[PageLink]
@@ -224,7 +224,7 @@ class PageGroup(NamedTuple):
 OF_SERVER = frozenset(("lines", "alarms", "events", "system", "configuration", "users"))
 """The pages of a server that shows only the lines of its peers."""
 LINES = PageLink("lines", "/lines", "dense", Message("page_lines"))
-"""Only where there are several."""
+"""The page of all lines, only if there are several."""
 GROUPS = (
     PageGroup(
         Message("page_group_line"),
@@ -262,7 +262,8 @@ GROUPS = (
         "server",
     ),
 )
-"""A phone shows the pages of the first group below; the others are one press away under *More*."""
+"""The groups of the rail. A phone shows the first group's pages; the others are one press away under
+*More*."""
 
 
 HELP = {
@@ -280,7 +281,7 @@ HELP = {
     "configuration": "configuration",
     "lines": "several-lines",
 }
-"""The chapter of the help that is about a page, by its ``key``; of all others the list of chapters."""
+"""The chapter of the help for a page, by its ``key``; for all others the list of chapters."""
 
 
 def _groups_for(lines: PageLines, may: Callable[[str], bool]) -> list[PageGroup]:

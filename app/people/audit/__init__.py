@@ -1,2 +1,2 @@
-"""The audit log, which holds who did what with what outcome: append-only, each entry chained by hash to the
+"""The audit log, which records who did what with what outcome: append-only, each entry chained by hash to the
 one before."""

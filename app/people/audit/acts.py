@@ -21,13 +21,14 @@ from bus.messages import TEXTS, Message, ParamValue
 from bus.pacing import Bucket
 
 MAX_ACTS, ACTS_PER_S = 600, 5.0
-"""At once, and in the long run: more than a program needs to acknowledge a flood of alarms."""
+"""The acts of an account at once, and per second: more than a program needs to acknowledge a flood of
+alarms."""
 READS = frozenset({"GET", "HEAD"})
 
 
 @dataclass(eq=False)
 class ActLimit:
-    """The budget of acts of each account. Commands do not count: the wire bounds them."""
+    """The budget of acts of each account. Commands do not count, because the wire bounds them."""
 
     _performed: defaultdict[str, Bucket] = field(
         default_factory=lambda: defaultdict(lambda: Bucket(ACTS_PER_S, MAX_ACTS)), init=False
@@ -45,7 +46,7 @@ class ActLimit:
 
 
 class _Performs(Requires):
-    """A dependency that counts the requests that it admits as acts of the account, except those for pages."""
+    """A dependency that counts the requests it admits as acts of the account, except those for pages."""
 
     async def grant(self, connection: HTTPConnection) -> Person:
         person = await super().grant(connection)
@@ -65,17 +66,17 @@ class Performed(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Act:
-    """Something that people do. ``name`` is the operation of the API and the word of ``may("…")`` in
-    templates. ``role`` is checked by the route before it reads the body, and again by the service. ``event``
-    is the code of the text in the audit log, of kind ``kind``. Raises ValueError if that code has no text."""
+    """An act of people. ``name`` is the operation of the API and the word of ``may("…")`` in templates.
+    ``role`` is checked by the route before it reads the body, and again by the service. ``event`` is the code
+    of the text in the audit log, of kind ``kind``. Raises ValueError if that code has no text."""
 
     name: str
     role: Role
     kind: EventKind
     event: str
     counted: bool = field(default=True, kw_only=True)
-    """Whether it counts for `ActLimit`; not if something else bounds it, as alarms do their acknowledgement,
-    which nothing may delay."""
+    """Whether it counts for `ActLimit`; not if something else bounds it, as alarms bound their
+    acknowledgement, which nothing may delay."""
 
     def __post_init__(self) -> None:
         if self.event not in TEXTS:

@@ -1,7 +1,7 @@
 """The anchor: a file outside the store that names the newest entry of the audit log, every minute.
 
 A configured anchor is only ever appended to, a line of JSON each time, so that it may be append-only or on
-write-once media. Without one the newest line alone is kept, in a file beside the key. A line of 0.2 may name
+write-once media. Without one only the newest line is kept, in a file beside the key. A line of 0.2 may name
 the ends of several ``chains``.
 
 ``{"id":812,"hash":"3fa9…","time":"2026-11-21T02:01:33Z","key":"91c2…","seal":"77ab…"}``
@@ -38,17 +38,17 @@ from bus.messages import Message, joined
 
 EVERY_S = 60.0
 WITHIN_S = 10.0
-"""The time that the medium has for one line, which may be long on a network."""
+"""The seconds that the medium has for one line, which may be long on a network."""
 AT_END_S = 1.0
-"""The time that it has while the server ends, which takes five seconds in total."""
+"""The seconds that it has while the server ends, which takes five in total."""
 _TAIL_BYTES = 65_536
-"""The newest line is within so many bytes at the end of a file."""
+"""The bytes at the end of a file that contain the newest line."""
 T = TypeVar("T")
 log = structlog.get_logger()
 
 
 class AnchorError(StoreError):
-    """The anchor cannot be read or written; ``reason`` says why in short."""
+    """Raised when the anchor cannot be read or written; ``reason`` states why in short."""
 
     def __init__(self, path: Path, cause: OSError | Message) -> None:
         is_link = isinstance(cause, OSError) and cause.errno == errno.ELOOP
@@ -59,7 +59,7 @@ class AnchorError(StoreError):
 
 @contextmanager
 def _in_words(path: Path) -> Iterator[None]:
-    """Turn what the file system raises into an AnchorError."""
+    """Turn exceptions of the file system into an AnchorError."""
     try:
         yield
     except OSError as error:
@@ -143,7 +143,7 @@ def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
 
 
 def newest_anchor(path: Path, ring: KeyRing) -> Head:
-    """Return the entry that a file names last, number 0 if there is none; make the file readable by its user
+    """Return the last entry that a file names, number 0 if there is none; make the file readable by its user
     alone. Raises AnchorError."""
     with suppress(OSError, StoreError):
         restrict(path)
@@ -185,7 +185,7 @@ def append_line(path: Path, line: bytes) -> None:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode):
             raise AnchorError(path, Message("anchor_no_file"))
-        # What a power failure cut off must not take the new line with it.
+        # The remains of a power failure must not take the new line with them.
         cut_off = found.st_size > 0 and os.pread(file.fileno(), 1, found.st_size - 1) != b"\n"
         data = b"\n" + line if cut_off else line
         while data:
@@ -195,7 +195,7 @@ def append_line(path: Path, line: bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class AnchorStatus:
-    """The state of the anchor. ``altered``: how the log differs from it, until the server starts again;
+    """The state of the anchor. ``altered``: how the log differs from it, until the server restarts;
     ``unwritten``: why the anchor is behind, ``since`` when (Unix time in seconds). Both are mostly None."""
 
     altered: Message | None = None
@@ -205,10 +205,9 @@ class AnchorStatus:
 
 class Anchoring:
     """The writer of the anchor: it names the newest entry of ``events`` in the file ``path`` once it is
-    stored: the log may be ahead of the anchor, never behind. It never raises for a fault of the medium.
-
-    Without ``is_configured`` the file is the one beside the key: that it cannot be written is only an event,
-    and with a new key it begins again."""
+    stored: the log may be ahead of the anchor, never behind. It never raises for a fault of the medium. If
+    not ``is_configured``, the file is the one beside the key: a failed write is then only an event, and with
+    a new key the file begins again."""
 
     def __init__(
         self, events: EventLog, path: Path, clock: Clock = unix_now, *, is_configured: bool = True
@@ -227,7 +226,7 @@ class Anchoring:
         self._one_at_a_time = asyncio.Lock()
 
     async def follow(self) -> None:
-        """Export every minute, without end."""
+        """Export every minute, until canceled."""
         while True:
             await self.export()
             await asyncio.sleep(EVERY_S)
@@ -295,8 +294,8 @@ class Anchoring:
                 write_file(self._path, line)
 
     async def _in_thread(self, work: Callable[[], T], within_s: float) -> T:
-        """Run ``work`` once earlier work has ended, as a network file system may hang. Raises AnchorError
-        after ``within_s``."""
+        """Run ``work`` once earlier work has ended, because a network file system may hang. Raises
+        AnchorError after ``within_s``."""
         try:
             async with asyncio.timeout(within_s):
                 if self._work is not None:

@@ -29,7 +29,7 @@ from bus.validation import TypedText
 
 router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
 MAX_EVENTS = 1000
-"""How many events one page may hold."""
+"""The most events that one page holds."""
 
 CSV_COLUMNS = (
     *(Column("id", term("Number")), Column("time", term("Time"), is_time=True), Column("kind", term("Kind"))),
@@ -118,7 +118,7 @@ Wanted = Annotated[Filter, Depends(wanted_events)]
 
 
 def shown(event: Event) -> dict[str, Any]:
-    """Return an event as the API gives it."""
+    """Return an event in the form of the API."""
     return {
         **{name: event[name] for name in (*COLUMNS, "unreadable", "messages")},
         "time": iso(event["time"]) if is_moment(event["time"]) else None,
@@ -141,7 +141,7 @@ async def list_events(
 async def verify_audit_log(
     _: Admin, anchoring: Annotated[Anchoring, service(Anchoring)]
 ) -> AuditVerification:
-    """Verify the complete log like ``lineside audit verify``, with the newest line of the anchor alone."""
+    """Verify the complete log like ``lineside audit verify``, but only with the newest line of the anchor."""
     return await anchoring.verify()
 
 

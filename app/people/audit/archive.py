@@ -39,16 +39,16 @@ from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_no
 from bus.messages import Message
 
 EVERY_S = 3600.0
-"""The time between two looks whether a month is due, and before the first one."""
+"""The seconds between two looks whether a month is due, and before the first one."""
 LEFT_S = 86_400.0
-"""A file that was begun so long ago was left by a server that ended."""
+"""A file that was begun so many seconds ago was left by a server that ended."""
 STEP_S = 60.0
-"""A clock that was changed by more is not trusted for an hour."""
+"""A clock that was changed by more seconds is not trusted for an hour."""
 MAX_REMOVED = 200
-"""Entries that one transaction removes, in a few milliseconds, so that no command waits longer."""
+"""The most entries that one transaction removes, in a few milliseconds: no command waits longer."""
 MAX_LINE = 1024 * 1024
-"""Characters of an entry, the longest of which has a few hundred frames. A forged file may unpack to one
-endless line."""
+"""The most characters of an entry, the longest of which has a few hundred frames. A forged file may unpack to
+one endless line."""
 NAME = re.compile(r"events-\d{4}-\d{2}(-[1-9]\d*)?\.jsonl\.gz")
 _STAYS = "id IN (SELECT event FROM shift_signature)"
 """The entries of signatures prove the sheet of a shift, so they stay in the store."""
@@ -57,7 +57,7 @@ log = structlog.get_logger()
 
 
 class EventArchiveError(StoreError):
-    """A file of the archive cannot be written or read."""
+    """Raised when a file of the archive cannot be written or read."""
 
 
 class Month(NamedTuple):
@@ -91,11 +91,11 @@ def months_due(oldest: UnixTime, now: UnixTime, keep: int, zone: ZoneInfo) -> li
 
 
 def write_file(folder: Path, month: Month, chunks: Iterable[Sequence[Entry]]) -> tuple[str, str]:
-    """Write entries as the file of a month, and read it back; return its name and SHA-256. It replaces a file
-    with the same content and no other one: after a restore from a backup a month may have a second file.
-    Nothing is left of it after a failure. Raises EventArchiveError, OSError."""
+    """Write entries as the file of a month, and read it back; return its name and SHA-256. It replaces only a
+    file with the same content: after a restore from a backup a month may have a second file. Nothing is left
+    of it after a failure. Raises EventArchiveError, OSError."""
     if not folder.is_dir():
-        # It may be that of a disk that is not mounted: it is not made.
+        # It may belong to a disk that is not mounted: it is not made.
         raise EventArchiveError(Message.of("audit_archive_folder_missing", folder=str(folder)))
     for left in folder.glob(".events-*"):
         if left.lstat().st_mtime < time.time() - LEFT_S:
@@ -104,7 +104,7 @@ def write_file(folder: Path, month: Month, chunks: Iterable[Sequence[Entry]]) ->
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
     with os.fdopen(os.open(fresh, flags, FILE_MODE), "wb") as file:
         try:
-            # Without its time and name: the same entries are the same bytes.
+            # The file has no time and name in it: the same entries are the same bytes.
             with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed:
                 for chunk in chunks:
                     packed.write("".join(map(_line_of, chunk)).encode())
@@ -170,7 +170,7 @@ class ArchiveProof:
 def prove_archive(
     cuts: Sequence[Cut], folder: Path | None, ring: KeyRing, anchors: Mapping[int, str]
 ) -> ArchiveProof:
-    """Verify the files of all cuts that are in a folder, each of which continues the one before it. Raises
+    """Verify the files of all cuts that are in a folder, each of which continues the one before. Raises
     EventArchiveError for the first that is not as it was written, OSError for one that cannot be read."""
     entries, absent = 0, []
     start: Ends | None = None
@@ -230,7 +230,7 @@ class EventArchive:
         self._clock, self._monotonic = clock, monotonic
 
     async def follow(self) -> None:
-        """Archive what is due every hour, without end."""
+        """Archive due months every hour, until canceled."""
         while True:
             ahead = float(self._clock()) - float(self._monotonic())
             await asyncio.sleep(EVERY_S)
@@ -311,8 +311,8 @@ class EventArchive:
 def _first_after(
     connection: StoreConnection, number: int, since: UnixTime, until: UnixTime
 ) -> tuple[int, UnixTime] | None:
-    """Return number and time of the first entry after a number with a time in a span; others are of a clock
-    that was wrong."""
+    """Return number and time of the first entry after a number with a time in a span; other times come from a
+    clock that was wrong."""
     query = "SELECT id, time FROM events WHERE id > ? AND time > 0 AND time >= ? AND time <= ? ORDER BY id"
     row = connection.execute(f"{query} LIMIT 1", (number, float(since), float(until))).fetchone()
     return None if row is None else (row[0], UnixTime(row[1]))

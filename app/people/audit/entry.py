@@ -98,7 +98,7 @@ def is_moment(time: UnixTime) -> bool:
 
 
 def _plain(message: Any) -> Any:
-    """Return a message as JSON has it."""
+    """Return a message in the form of JSON."""
     match message:
         case Message(code, params):
             return {"code": code, "params": {name: _plain(value) for name, value in params.items()}}
@@ -110,7 +110,7 @@ def _plain(message: Any) -> Any:
 
 def _stored(value: Any) -> Any:
     if isinstance(value, str):
-        # Half a character, which JSON can escape, is not UTF-8.
+        # Half a surrogate pair, which JSON can escape, is not UTF-8.
         return str(value).encode("utf-8", "backslashreplace").decode()
     return int(value) if isinstance(value, bool) else value
 
@@ -139,7 +139,7 @@ def readable(row: Mapping[str, Any]) -> Event:
         event |= {"concluded_at": None, "unreadable": True}
     parts = [messages_of(row["messages"]), messages_of(row["concluded_messages"])]
     messages = {**(parts[0] or {}), **(parts[1] or {})}
-    # Of a code that this version does not have, the stored text is shown.
+    # For a code that this version does not have, the stored text is shown.
     event["messages"] = {name: message for name, message in messages.items() if message.code in _KNOWN}
     if None in parts:
         event["unreadable"] = True
@@ -182,9 +182,10 @@ SEALED_FROM_HERE = Message("event_audit_sealed")
 OTHER_KEY = Message("event_audit_other_key")
 ROTATED = Message("event_audit_key_rotated")
 END_ALTERED = Message("event_audit_end_altered")
-"""No failure of the machine causes this: an entry and the seal of the end are written in one transaction."""
+"""The remark on an altered end. No failure of the machine causes it: an entry and its seal are written in one
+transaction."""
 _END_ALTERED_TEXT = "the end of the audit log was altered before this entry"
-"""The text of `END_ALTERED` in an entry of a version that kept texts alone."""
+"""The text of `END_ALTERED` in an entry of a version that kept texts only."""
 Purpose = Literal["entry", "head", "anchor", "command", "decoy", "cut"]
 """The purpose of a seal. It is part of the sealed data: no seal passes for one of another purpose."""
 canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=str).encode
@@ -261,7 +262,7 @@ def _equal(seal: str, right: str) -> bool:
 @dataclass(frozen=True)
 class Head:
     """The newest entry of a chain, and its seal as the newest; ``key`` is empty before the first key.
-    ``chain``: the bus of a chain of 0.2; empty for the chain of the site, which goes on as the only one."""
+    ``chain``: the bus of a chain of 0.2; empty for the chain of the site, which continues as the only one."""
 
     id: int = 0
     hash: str = BEGINNING
@@ -276,8 +277,8 @@ def newest_of(heads: Iterable[Head]) -> Head:
 
 
 def entry_hash(previous: str, entry: Mapping[str, Any]) -> str:
-    """Return the SHA-256, in hex, over the previous hash and the entry as JSON with sorted keys. Of an entry
-    with a key it covers every column that is not NULL, also those of later versions."""
+    """Return the SHA-256, in hex, over the previous hash and the entry as JSON with sorted keys. For an entry
+    with a key it covers every column that is not NULL, even those of later versions."""
     covered = {name: value for name, value in entry.items() if value is not None and name not in _DERIVED}
     if not entry.get("key"):
         newer = covered.keys() - {*FIELDS, "previous", "key"}
@@ -294,8 +295,8 @@ def sealed_entry(previous: str, entry: Mapping[str, Any], ring: KeyRing) -> dict
 
 
 def is_sound_alone(entry: Mapping[str, Any], ring: KeyRing) -> bool:
-    """Return whether an entry is as it was written, whatever was before it; one that is older than the first
-    key must only fit its hash."""
+    """Return whether an entry is as it was written, whatever was before it; an entry older than the first key
+    must only fit its hash."""
     digest = entry_hash(entry.get("previous") or "", entry)
     if entry.get("hash") != digest:
         return False
@@ -319,7 +320,7 @@ def confirms_head(head: Head, ring: KeyRing) -> bool:
 
 
 def remark_on(head: Head, ring: KeyRing) -> Message | None:
-    """Return what must be recorded about the log itself before anything is added to ``head``; mostly None."""
+    """Return the remark to record about the log itself before anything is added to ``head``; mostly None."""
     if head.id == 0 or confirms_head(head, ring):
         return None
     if not head.key:
@@ -336,14 +337,14 @@ def notes_altered_end(entry: Mapping[str, Any]) -> bool:
 
 
 SITE = ""
-"""The chain of the site; where something is kept by chain, also the only chain of today."""
+"""The chain of the site; in mappings by chain, also the only chain of today."""
 Ends = Mapping[str, Head]
 """The last entry of each chain, by chain."""
 JOINED = Message("event_audit_chains_joined")
 
 
 def previous_after(ends: Ends) -> str:
-    """Return the ``previous`` of the entry that continues all chains: of a single chain the hash of its
+    """Return the ``previous`` of the entry that continues all chains: for a single chain the hash of its
     end."""
     if len(ends) > 1:
         plain = {chain: (head.id, head.hash) for chain, head in ends.items()}
@@ -381,7 +382,7 @@ def chains_named(ends: Ends) -> list[Message]:
 
 
 def origin_of(heads: Ends) -> KeyOrigin:
-    """Return the origin of a key that is made now, of a log that ends with ``heads``."""
+    """Return the origin of a key that is made now for a log that ends with ``heads``."""
     newest = newest_of(heads.values())
     others: Sequence[tuple[str, int, str]] = [
         (name, head.id, head.hash) for name, head in sorted(heads.items()) if head is not newest

@@ -49,7 +49,7 @@ from bus.validation import TypedText
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 ON_A_PAGE = 100
 MAX_PARTS = 1000
-"""Parts on one page; with more of them it has fewer rows. A change has at most 255."""
+"""The most parts on one page; with more it has fewer rows. A change has at most 255 parts."""
 FIELDS = ("kind", "bus", "unit", "who", "since", "until", "search")
 
 
@@ -144,7 +144,7 @@ async def page_of(events: EventLog, wanted: Filter, limit: int) -> tuple[list[Ev
     for part in reversed(parts):
         by_group.setdefault(_group_of(part, groups), []).append(part)
     if more is not None:
-        # Newest first: the change of the last part may have more than were read; newer ones have all.
+        # Newest first: the change of the last part may have more parts than were read; newer ones have all.
         cut = _group_of(parts[-1], groups)
         found, after = [event for event in found if event["id"] > cut], cut + 1
     return [EventRow(event, by_group.get(event["id"], [])) for event in found], after
@@ -156,15 +156,15 @@ def _group_of(part: Event, ordered: Sequence[int]) -> int:
 
 
 SHOWN = 3
-"""Events that the search lists; the page of events has the others."""
+"""The most events that the search lists; the page of events has the others."""
 MAX_SEARCHED = 10_000
-"""Entries that a key press searches: a word that is in none would take seconds in a long log."""
+"""The most entries that a key press searches: a word that is in none would take seconds in a long log."""
 LAST = 100
-"""The rank of events, after everything that has the name."""
+"""The rank of events, after everything found by name."""
 
 
 class EventFinder:
-    """The finder of events for the search of all pages, also by the names of units."""
+    """The finder of events for the search of all pages, which also finds them by the names of units."""
 
     def __init__(self, events: EventLog, buses: Iterable[BusSettings]) -> None:
         self._events = events
@@ -205,7 +205,7 @@ class EventFinder:
         ]
 
     def _label(self, event: Event, language: Language) -> str:
-        """Return what happened, after the name of the unit."""
+        """Return the text of an event, after the name of the unit."""
         what = language.t(event["messages"].get("what", event["what"]))
         name = self.names.get((event["bus"] or "", event["unit"] or 0))
         return f"{name} · {what}" if name else what
@@ -234,7 +234,7 @@ def make(services: Services) -> None:
 
 
 async def _record_start(data: Path, migrated: Sequence[Migration], events: EventLog) -> None:
-    """Record with what the server starts."""
+    """Record the state with which the server starts."""
     if migrated:
         await events.record(kind="server", what=_store_changed(migrated))
     await events.record(kind="server", what=Message("event_server_started"))

@@ -89,7 +89,7 @@ _Hex = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
 class KeyFileError(StoreError):
-    """The key file cannot be used; nothing was written into the log."""
+    """Raised when the key file cannot be used; nothing was written into the log."""
 
 
 class _Log(msgspec.Struct):
@@ -128,7 +128,7 @@ def make_key_file(path: Path, origin: KeyOrigin) -> None:
     content = _content_of(KeyRing((secrets.token_bytes(KEY_BYTES),), origin))
     try:
         with fresh_file(path, content) as fresh:
-            # Unlike a rename this never takes the place of a key that another process has made and used.
+            # Unlike a rename this never replaces a key that another process has made and used.
             path.hardlink_to(fresh)
         sync_folder(path.parent)
     except FileExistsError:

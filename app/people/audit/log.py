@@ -1,4 +1,4 @@
-"""The event log: each entry continues the chain, in the transaction of what it is about; and queries of it,
+"""The event log: each entry continues the chain, in the transaction of its subject; and queries of it,
 filtered and searched, each command with its outcome.
 
 Events that strangers can cause are bounded: repetitions are counted and recorded once a minute.
@@ -188,7 +188,7 @@ log = structlog.get_logger()
 
 
 class Logged(NamedTuple):
-    """An event that was just stored, or a command of which the outcome was: ``id`` is the command's."""
+    """An event that was just stored, or a command whose outcome was: ``id`` is the command's."""
 
     id: int
     kind: str
@@ -205,7 +205,7 @@ ENDED_BEFORE = Message("server_stopped")
 
 
 class EventFields(TypedDict, total=False):
-    """The fields that an event may state."""
+    """The fields that an event may have."""
 
     what: Required[str | Message]
     who: str | Message
@@ -224,8 +224,8 @@ NO_TEXTS: Mapping[Any, Any] = MappingProxyType({})
 
 
 class EventLog:
-    """An append-only log; what its methods have written is on disk when they return. Without ``keys`` the
-    keys end with the process, so that nothing can verify what was written."""
+    """An append-only log; entries are on disk when its methods return. Without ``keys`` the keys end with the
+    process, so that nothing can verify the entries later."""
 
     def __init__(self, database: Database, clock: Clock = unix_now, keys: Keys | None = None) -> None:
         self.keys = keys or passing_keys()
@@ -356,7 +356,7 @@ class EventLog:
 
 
 _COLUMNS = (*FIELDS, "count", "messages", "key", "previous", "hash", "seal")
-"""A further column must allow NULL and stand here; the hash covers it wherever it is not NULL."""
+"""A further column must allow NULL and be listed here; the hash covers it wherever it is not NULL."""
 _INSERT = f"INSERT INTO events ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
 _LAST = "SELECT id, hash, key, chain FROM events ORDER BY id DESC LIMIT 1"
 _HEADS = "SELECT id, hash, key, seal, chain FROM events_head"
@@ -385,7 +385,7 @@ def append(connection: StoreConnection, entries: Sequence[Mapping[str, Any]], ke
     first = [new_entry(kind="audit", time=time, what=what, message=why) for what, why in found]
     number, previous, row = last.id, previous_after(ends), {}
     for number, entry in enumerate([*first, *entries], start=last.id + 1):
-        # Exactly what the row will hold: the hash of anything else would not be confirmed by it.
+        # This is exactly the row's content: the hash of anything else would not match it.
         row = {name: entry.get(name) for name in _COLUMNS} | {"id": number}
         row = sealed_entry(previous, row, ring)
         connection.execute(_INSERT, [row[name] for name in _COLUMNS])
@@ -419,8 +419,8 @@ _RepeatedEvent = tuple[EventKind, _Text, _Text, _Text, _Text, UnixTime]
 
 class RepeatedEvents:
     """A recorder of the first event of a kind, person, place and message at once, then of one a minute with
-    the number of repetitions. Places are kept apart for each person, so that a flood hides nobody who is
-    under attack; there is a bounded number of ``who``. ``record``: `EventLog.record`; ``clock``: Unix time in
+    the number of repetitions. Places are counted separately for each person, so that a flood hides nobody who
+    is under attack; the number of ``who`` is bounded. ``record``: `EventLog.record`; ``clock``: Unix time in
     seconds; ``now`` measures the minutes."""
 
     def __init__(
@@ -443,14 +443,14 @@ class RepeatedEvents:
             await self._record_counted(first)
 
     async def follow(self) -> None:
-        """Record what was counted in minutes that are over, without end."""
+        """Record the counts of minutes that are over, until canceled."""
         while True:
             await asyncio.sleep(WINDOW_S / 4)
             await self.record_due()
 
     async def record_due(self, *, everything: bool = False) -> None:
-        """Record what was counted in minutes that are over, or ``everything`` as the server ends. Raises
-        StoreError once each was tried."""
+        """Record the counts of minutes that are over, or ``everything`` as the server ends. Raises StoreError
+        once each was tried."""
         failed: StoreError | None = None
         now = self._now()
         for repeats in list(self._groups.values()):

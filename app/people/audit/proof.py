@@ -35,15 +35,15 @@ from bus.instants import UnixTime
 from bus.messages import Message
 
 LOWEST_ID = -(2**63)
-"""A walk begins here, so that it also meets an entry that was added before the first one."""
+"""The id at which a walk begins, so that it also meets an entry that was added before the first one."""
 CHUNK = 500
-"""Entries that are verified at a time, which takes a few milliseconds."""
+"""The entries that are verified at a time, which takes a few milliseconds."""
 
 
 @dataclass(frozen=True)
 class AuditVerification:
-    """Whether the log is intact. Entries that are older than the key are only verified to be as they were
-    when it was made."""
+    """The result of verifying the log. Entries older than the key are only verified to be as they were when
+    it was made."""
 
     entries: int
     broken: Annotated[int | None, Field(description="Number of the first broken entry; null: none.")] = None
@@ -60,7 +60,7 @@ class AuditVerification:
 class Walk:
     """A walk along a log up to its first broken entry, from its beginning or from ends that are known to be
     good. ``anchors``: hashes that were noted elsewhere, by entry; ``archived``: entries up to this number are
-    in the archive, and each of those that are left in the store is verified by itself. Pure."""
+    in the archive, and each of those that are left in the store is verified on its own. Pure."""
 
     def __init__(
         self,
@@ -162,7 +162,7 @@ class Walk:
 @dataclass(frozen=True, slots=True)
 class Cut:
     """A cut of the log: entries ``first`` to ``last`` are in ``file`` of the archive, whose SHA-256 is
-    ``digest``. ``heads``: JSON of the ends of the chains at ``last``, which the entries that stayed continue;
+    ``digest``. ``heads``: JSON of the ends of the chains at ``last``, which the remaining entries continue;
     ``first_hash``: that of the first entry of the log, in a cut of 0.2; ``at``: when it was made."""
 
     last: int
@@ -186,7 +186,7 @@ class Cut:
         return replace(self, key=ring.newest, seal=ring.seal("cut", *self._sealed_parts))
 
     def is_sealed(self, ring: KeyRing) -> bool:
-        """Return whether it was written with a key of the ring."""
+        """Return whether the cut was written with a key of the ring."""
         return ring.confirms(self.seal, self.key, "cut", *self._sealed_parts)
 
     @property
@@ -248,9 +248,9 @@ def prove(
     connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str], known: Head | None = None
 ) -> AuditVerification:
     """Verify the log up to the entry that is the last one now, and that it has the hashes of ``anchors``, by
-    entry. With ``known`` only what follows that entry, if the log has it. It reads chunk by chunk, so that
-    the store's checkpoint does not wait for a long log; where entries were archived meanwhile, it begins
-    again from the new cut."""
+    entry. With ``known`` only the part after that entry, if the log has it. It reads chunk by chunk, so that
+    the store's checkpoint does not wait for a long log; if entries were archived meanwhile, it begins again
+    from the new cut."""
     while True:
         cuts = cuts_of(connection)
         proof = _followed(connection, ring, anchors, known)
@@ -276,7 +276,7 @@ def _begun(
     connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str], known: Head | None
 ) -> tuple[Walk, int]:
     """Return a walk and the number of its first entry: over the complete log unless it has the entry
-    ``known``, which it goes on from as a single chain."""
+    ``known``, from which it then continues as a single chain."""
     if known is not None:
         query = "SELECT id, hash, key, chain FROM events WHERE id = ?"
         row = connection.execute(query, (known.id,)).fetchone()
@@ -302,7 +302,7 @@ class LogProof:
             return await in_thread(partial(self._prove, anchors or {}))
 
     async def since(self, known: Head) -> AuditVerification:
-        """Verify that the log has the entry ``known``, which the anchor names, and what follows it."""
+        """Verify that the log has the entry ``known``, which the anchor names, and the part after it."""
         return await in_thread(partial(self._prove, {}, known))
 
     async def heads(self) -> dict[str, Head]:

@@ -1,1 +1,1 @@
-"""Users, roles, sessions and tokens. What is not allowed by name is refused."""
+"""Users, roles, sessions and tokens. Everything that is not allowed by name is refused."""

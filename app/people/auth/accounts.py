@@ -22,9 +22,9 @@ from bus.messages import Message, ParamValue, term
 
 @dataclass(eq=False, repr=False)
 class Accounts:
-    """The users and tokens of a site. Every change takes ``by``: who makes it, whose role is checked here,
-    and raises Problem 403 for a person without its role. ``buses``: those of the configuration, for the
-    tokens of workers; ``site``: its name, which no password may contain."""
+    """The users and tokens of a site. Every change takes ``by``, the person who makes it, whose role is
+    checked here, and raises Problem 403 for a person without the role. ``buses``: those of the configuration,
+    for the tokens of workers; ``site``: its name, which no password may contain."""
 
     _database: Database
     _events: EventLog
@@ -115,7 +115,7 @@ class Accounts:
             await self._change(name, change)
 
     async def set_disabled(self, name: str, disabled: bool, *, by: Person) -> None:
-        """Refuse a user, or admit again. Raises CallerError for an unknown user and for the last admin."""
+        """Disable a user, or enable again. Raises CallerError for an unknown user and for the last admin."""
         async with self._performing(DISABLE_USER if disabled else ENABLE_USER, by, name=name):
             await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
 
@@ -238,14 +238,14 @@ class Accounts:
 
 
 def _check_is_user(person: Person) -> None:
-    """Raises Problem 403 for a program, which may have the name of a user."""
+    """Raise Problem 403 for a program, which may have the name of a user."""
     if person.via != "session":
         raise Problem(403, "forbidden", Message("no_account"))
 
 
 def check_has_own_password(person: Person) -> None:
-    """Raises Problem 403 for a program, for the user of a company account, and for a panel, whose PIN an
-    admin changes."""
+    """Raise Problem 403 for a program, for the user of a company account, and for a panel, whose PIN an admin
+    changes."""
     _check_is_user(person)
     if person.has_company_account:
         raise Problem(403, "forbidden", Message.of("no_password_of_company_account", name=person.name))

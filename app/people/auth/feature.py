@@ -1,4 +1,4 @@
-"""The feature of accounts, sign-ins, and what each account may do."""
+"""The feature of accounts, of sign-ins, and of the rights of each account."""
 
 from __future__ import annotations
 

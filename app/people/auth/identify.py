@@ -1,4 +1,4 @@
-"""Finds who each request and handshake is from, and refuses it or lets it through.
+"""The identification of each request and handshake, which is then refused or let through.
 
 Access is denied by default: without a caller only the public paths are open.
 """
@@ -62,17 +62,17 @@ PUBLIC_PATHS = frozenset(
 )
 PUBLIC_PREFIX = "/static/"
 NO_LONGER_SIGNED_IN = 4401
-"""Close code: 4000 and the HTTP status of the same refusal."""
+"""The close code of a lost right: 4000 and the HTTP status of the same refusal."""
 
 _Withdrawal = Callable[[], Coroutine[Any, Any, None]]
 
 
 class Identify:
-    """ASGI middleware that finds the `Caller` of every request and handshake, or refuses it, and records what
-    was refused.
+    """ASGI middleware that finds the `Caller` of every request and handshake, or refuses it, and records
+    refusals.
 
-    Only public paths are open without a caller. A token that is not valid is refused even where the demo
-    needs none. A WebSocket or a response in pieces ends with the rights of its caller.
+    Only public paths are open without a caller. An invalid token is refused even if the demo needs none. A
+    WebSocket or a response in pieces ends with the rights of its caller.
     """
 
     def __init__(
@@ -115,7 +115,8 @@ class Identify:
         await self._record(scope, status)
 
     async def _response_to(self, scope: Scope, receive: Receive) -> Callable[[Send], Awaitable[None]]:
-        """Return what sends the response: the app, as long as its caller has the right, or a refusal."""
+        """Return the function that sends the response: the app, as long as its caller has the right, or a
+        refusal."""
         seen = self._rights.changes
         try:
             caller = await self._identified(scope)
@@ -137,7 +138,7 @@ class Identify:
         return partial(run_while_allowed, run, withdrawal, is_socket=is_socket)
 
     async def _identified(self, scope: Scope) -> Caller | None:
-        """Return the caller; None where the request names none. Raises Problem for a request that breaks the
+        """Return the caller; None if the request names none. Raises Problem for a request that breaks the
         rules of every request, or whose caller cannot be known."""
         problem = request_problem(scope, self._allowed_hosts)
         if problem is not None:
@@ -152,7 +153,7 @@ class Identify:
             raise Problem(503, "store", error.message) from None
 
     async def _is_still(self, connection: HTTPConnection, caller: Caller) -> bool:
-        """Return whether the caller of an open connection may have it still; a store that fails ends nothing
+        """Return whether the caller of an open connection may still have it; a store that fails ends nothing
         that runs."""
         try:
             return await self._caller(connection, is_use=caller.panel) == caller
@@ -208,9 +209,9 @@ def _address(scope: Scope) -> str:
 async def run_while_allowed(
     run: Callable[[Send], Awaitable[None]], withdrawal: _Withdrawal, send: Send, *, is_socket: bool = False
 ) -> None:
-    """Run ``run``, which sends a response or has a WebSocket open, and end it once ``withdrawal`` returns, as
-    it is allowed no longer: a WebSocket by its close, a response in pieces where it is, also while it waits
-    for its next piece or for a slow reader. A response that is sent at once costs nothing."""
+    """Call ``run``, which sends a response or has a WebSocket open, and end it once ``withdrawal`` returns,
+    because it is no longer allowed: a WebSocket by its close, a response in pieces wherever it is, even while
+    it waits for its next piece or for a slow reader. A response that is sent at once costs nothing."""
     running, watch, is_over = asyncio.current_task(), None, False
     assert running is not None
 
@@ -234,7 +235,7 @@ async def run_while_allowed(
         if is_socket:
             with suppress(RuntimeError, OSError):
                 await send({"type": "websocket.close", "code": NO_LONGER_SIGNED_IN})
-        watch.result()  # raises where the right could not be looked up
+        watch.result()  # It raises if the right could not be looked up.
     finally:
         is_over = True
         if watch is not None:
@@ -267,7 +268,7 @@ def _to_login(connection: HTTPConnection) -> Response:
     query = connection.url.query
     where = connection.url.path + (f"?{query}" if query else "")
     url = _login_url(where if is_page else _page_of(connection), refused=not is_page)
-    # Relative, so that a proxy that serves us below a path shows the page that says so.
+    # The path is relative, so that a proxy that serves us below a path shows the page that states this.
     is_proxied = any(name.startswith("x-forwarded-") for name in connection.headers)
     return RedirectResponse(url[1:] if is_proxied and connection.url.path == "/" else url, 303)
 
@@ -284,7 +285,7 @@ def _page_of(connection: HTTPConnection) -> str:
 
 
 def _login_url(next_page: str, *, refused: bool) -> str:
-    """Return the address of the login page; ``refused``: it explains that the action was not carried out."""
+    """Return the address of the login page; ``refused``: it explains that the action was not done."""
     query = [f"next={quote(next_page)}"] if next_page != "/" else []
     query += ["refused=true"] if refused else []
     return "/login" + ("?" + "&".join(query) if query else "")
@@ -297,12 +298,12 @@ def _is_loopback(connection: HTTPConnection) -> bool:
 
 
 _REFUSED_ACCOUNT = "refused_account"
-"""Key in the scope: the account of an expired token."""
+"""The key of the scope for the account of an expired token."""
 
 
 def _event_of(status: int, scope: Scope) -> tuple[Message, str | Message, str]:
     """Return what the events record of a refusal: its text, whose request it was, and the method and the path
-    of its route, without what the request filled into it."""
+    of its route, without the values of the request in it."""
     if status == 401:
         account: str | None = scope.get(_REFUSED_ACCOUNT)
         who = account_shown(account) if account else Message("unknown_token")
@@ -327,10 +328,8 @@ class Identity:
     _clock: Clock = unix_now
 
     async def by_cookie(self, cookie: str, *, is_use: bool = True) -> Caller | None:
-        """Return the account of a session cookie; None if its session is over or was never there.
-
-        ``is_use`` False: the lookup prolongs nothing.
-        """
+        """Return the account of a session cookie; None if its session is over or never existed. ``is_use``
+        False: the lookup prolongs nothing."""
         hash_ = rules.secret_hash(cookie)
         session = await self._database.read(lambda connection: store.session(connection, hash_))
         now = self._clock()
@@ -382,7 +381,8 @@ class Identity:
         )
 
     async def _note(self, work: Callable[[StoreConnection], None]) -> None:
-        """Store when an account was last used. On a full disk the line can still be watched."""
+        """Store when an account was last used. On a full disk this fails silently, so that the line can still
+        be watched."""
         with suppress(StoreError):
             await self._database.write(work)
 

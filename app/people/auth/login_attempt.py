@@ -1,4 +1,4 @@
-"""A login by a company account that is under way, which only its browser keeps, and why none is admitted."""
+"""An attempt to log in by a company account, which only its browser keeps, and the reasons for a refusal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from app.people.auth import rules
 from bus.messages import Message
 
 MAX_AGE_S = 600
-"""How long a person may take at the provider."""
+"""The seconds that a person may take at the provider."""
 MAX_NEXT = 1000
 MAX_COOKIE_BYTES = 3000
 _Secret = Annotated[str, msgspec.Meta(min_length=rules.SECRET_LENGTH, max_length=rules.SECRET_LENGTH)]
@@ -29,14 +29,14 @@ NotAdmittedReason = Literal[
     "provider",
     "token",
 ]
-"""Codes of the reasons for which a login is refused, as they stand in the address of the login page."""
+"""Codes of the reasons for which a login is refused, as they appear in the address of the login page."""
 COUNTED: frozenset[NotAdmittedReason] = frozenset({"disabled", "groups", "name", "name_taken", "token"})
 """Reasons for which a refused login is recorded as an event in the audit log, as a wrong password is."""
 
 
 class NotAdmittedError(Exception):
-    """Why a company account is not admitted. ``reason``: shown to the person; ``detail``: for the log and the
-    event; ``name``: of the account, once it is known."""
+    """Raised when a company account is not admitted. ``reason``: shown to the person; ``detail``: for the log
+    and the event; ``name``: that of the account, once it is known."""
 
     def __init__(self, reason: NotAdmittedReason, detail: str = "", name: str = "") -> None:
         super().__init__(reason)
@@ -68,7 +68,7 @@ class LoginAttempt(msgspec.Struct, frozen=True, array_like=True):
 
 
 def new_attempt(next_page: str) -> LoginAttempt:
-    """Make an attempt that leads to ``next_page`` where that is a page of this server, else to the first."""
+    """Make an attempt that leads to ``next_page`` if that is a page of this server, else to the first."""
     is_kept = rules.is_own_path(next_page) and len(next_page) <= MAX_NEXT
     state, nonce, verifier = (rules.new_secret() for _ in range(3))
     return LoginAttempt(state, nonce, verifier, next_page if is_kept else "/")

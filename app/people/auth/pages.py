@@ -70,20 +70,20 @@ FirstAdminService = Annotated[FirstAdmin, service(FirstAdmin)]
 AccountsService = Annotated[Accounts, service(Accounts)]
 SingleSignOnService = Annotated[SingleSignOn, service(SingleSignOn)]
 MAX_NAME = 64
-"""The stored part of a typed name; no user has one so long."""
+"""The most characters of a typed name that are stored; no user has one so long."""
 FormText = Annotated[str, Form()]
 TypedName = Annotated[
     str, Form(), AfterValidator(lambda name: composed(name[: 4 * MAX_NAME].strip())[:MAX_NAME])
 ]
 """The name of a user or token; none is longer than MAX_NAME."""
 DEVICE_COOKIE = "lineside_device"
-"""Distinguishes a browser with an earlier sign-in from those of strangers; it signs no one in."""
+"""A cookie that distinguishes a browser with an earlier sign-in from strangers'; it signs no one in."""
 DEVICE_KNOWN_S = 365 * rules.DAY
 CALLBACK = "/login/oidc/callback"
 ATTEMPT_COOKIE = "lineside_login"
-"""What a browser keeps of a login by a company account that is under way."""
+"""The cookie in which a browser keeps its attempt to log in by a company account."""
 REAUTHENTICATE_COOKIE = "lineside_reauthenticate"
-"""Marks a browser in which someone has logged out: its next company account signs in again there."""
+"""The cookie of a browser in which someone has logged out: its next company account signs in there again."""
 
 
 @router.get("/login", dependencies=[Depends(public)])
@@ -95,8 +95,8 @@ async def login_page(
     refused: bool = False,
     company_account: str = "",
 ) -> Response:
-    """Show the form, or redirect a signed-in user. ``refused``: an action has led here; ``company_account``:
-    why a company account was not admitted."""
+    """Show the form, or redirect a signed-in user. ``refused``: whether an action has led here;
+    ``company_account``: why a company account was not admitted."""
     if caller_of(request):
         return RedirectResponse(_own_path(next), 303)
     return await _login_form(
@@ -127,7 +127,7 @@ async def log_panel_in(
 @router.get("/login/oidc", dependencies=[Depends(public)])
 async def begin_login(request: Request, single_sign_on: SingleSignOnService, next: str = "/") -> Response:
     """Redirect to the provider; a signed-in user to the page. After a log-out here the person signs in there
-    again: a panel or a PC may be shared, and the provider may know the last one still."""
+    again: a panel or a PC may be shared, and the provider may still know the last one."""
     if caller_of(request):
         return RedirectResponse(_own_path(next), 303)
     has_logged_out = bool(cookie_of(request, REAUTHENTICATE_COOKIE))
@@ -144,8 +144,8 @@ async def begin_login(request: Request, single_sign_on: SingleSignOnService, nex
 async def finish_login(
     request: Request, single_sign_on: SingleSignOnService, sign_in: SignInService
 ) -> Response:
-    """Begin the session of a browser that the provider sends back. What was refused is shown by the login
-    page: this address has a code in it, and is not to be loaded again."""
+    """Begin the session of a browser that the provider sends back. A refusal is shown by the login page: this
+    address has a code in it, and is not to be loaded again."""
     attempt = attempt_of(cookie_of(request, ATTEMPT_COOKIE))
     try:
         begun = await single_sign_on.finish(
@@ -243,7 +243,7 @@ async def change_password(
     password: FormText = "",
     again: FormText = "",
 ) -> Response:
-    """Change the own password; every other session of the user ends."""
+    """Change the caller's own password; every other session of the user ends."""
     check_has_own_password(person)
     this_one = rules.secret_hash(request.cookies[session_name(request)])
     try:
@@ -271,8 +271,8 @@ async def _sign_in(
 
 
 async def signed_in(request: Request, sign_in: SignIn, begun: SignedIn, next_page: str) -> Response:
-    """Redirect to the page that was wanted, with the cookies of the session. The session that the browser had
-    before ends: nothing else could end it."""
+    """Redirect to the wanted page, with the cookies of the session. The earlier session of the browser ends:
+    nothing else could end it."""
     before = caller_of(request)
     if before is not None and before.via == "session":
         await sign_in.sign_out(request.cookies[session_name(request)], before.granted(LOG_OUT.role))
@@ -357,7 +357,7 @@ def _own_path(path: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class UsersPage:
-    """The page in one request, and the accounts that it shows and changes."""
+    """The page of users in one request, and the accounts that it shows and changes."""
 
     request: HTTPConnection
     accounts: Accounts
@@ -372,7 +372,7 @@ class UsersPage:
         typed: Mapping[str, str] | None = None,
     ) -> HTMLResponse:
         """Show every user and every token. ``fault``: why a change was refused, with what was ``typed`` into
-        the drawer ``opened``; ``token``: the secret of the one just created, ``token_name``, which is shown
+        the drawer ``opened``; ``token``: the secret of the token just created, ``token_name``, which is shown
         once."""
         return render(
             self.request,
@@ -508,7 +508,7 @@ async def create_token(
 
 @router.get("/users/tokens/{name}/revoke")
 async def review_revocation(_: Admin, page: Users, name: str) -> HTMLResponse:
-    """Show what revoking a token means, and whether a program has been using it."""
+    """Show the consequences of revoking a token, and whether a program has been using it."""
     token = next((token for token in await page.accounts.tokens() if token.name == name), None)
     used_at = token.used_at if token else None
     return render(page.request, "users/_review_revoke.html", name=name, used_at=used_at)
@@ -521,7 +521,7 @@ async def revoke_token(by: Annotated[Person, REVOKE_TOKEN.permitted], page: User
 
 
 def _days(typed: str) -> int | None:
-    """Return what was typed as a number of days; None for nothing. Raises CallerError."""
+    """Return the typed number of days; None for an empty text. Raises CallerError."""
     text = typed.strip()
     if not text:
         return None

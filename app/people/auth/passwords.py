@@ -21,13 +21,13 @@ from bus.validation import composed
 
 MIN_PASSWORD, MAX_PASSWORD = 12, 256
 MAX_CODE_POINTS = 4 * MAX_PASSWORD
-"""Bound of a password whose accents are typed as separate characters (NFD). Argon2 works on all of it, so
-this bounds the work of one request."""
+"""The most characters of a password whose accents are typed as separate characters (NFD). Argon2 works on all
+of it, so this bounds the work of one request."""
 MIN_PIECES = 7
 MIN_SIGNS = 5
 MIN_PIECES_OF_PIN = 4
 MIN_NAME = 4
-"""Letters of a name that a password may not contain; a shorter one is in too many words."""
+"""The least letters of a name that a password may not contain; a shorter one is in too many words."""
 _PIN = re.compile(r"\d{6,12}")
 
 _LOOK_ALIKES = str.maketrans("013457@$!|", "oieastasii")
@@ -51,24 +51,24 @@ _DATE = re.compile(
         for order in (_DAY + _MONTH + year, _MONTH + _DAY + year, year + _MONTH + _DAY)
     )
 )
-"""In the orders in which dates are written; a birthday is among the first PINs that are tried."""
+"""Dates in the usual orders; a birthday is among the first PINs that are tried."""
 _YEAR = re.compile(_FULL_YEAR)
 _LONGEST_WORD = max(map(len, _WORDS))
 _SHORTEST_WORD = min(map(len, _WORDS))
 _ROWS = ((0.0, "1234567890-="), (0.5, "qwertyuiop[]"), (0.75, "asdfghjkl;'"), (1.25, "zxcvbnm,./"))
 _KEYS = {sign: (x + shift, float(y)) for y, (shift, row) in enumerate(_ROWS) for x, sign in enumerate(row)}
 _SWAPPED = str.maketrans("yz", "zy")
-"""Swaps Y and Z, which a German keyboard has the other way round."""
+"""Swaps Y and Z, whose keys are exchanged on a German keyboard."""
 _PAD = {
     digit: (float(x), float(y)) for y, row in enumerate(("123", "456", "789")) for x, digit in enumerate(row)
 }
 MIN_RUN = 3
 MAX_EASY_BLOCK = 7
-"""Characters of a block that a text only repeats, where that makes it easy to guess."""
+"""The most characters of a block that makes a text easy to guess if the text only repeats it."""
 
 
 def check_secret(secret: str, *, user: str, panel: bool, site: str) -> None:
-    """Raises CallerError for a password, or a PIN of a panel, that ``user`` may not choose at ``site``."""
+    """Raise CallerError for a password, or a PIN of a panel, that ``user`` may not choose at ``site``."""
     if panel:
         check_pin(secret)
     else:
@@ -76,7 +76,7 @@ def check_secret(secret: str, *, user: str, panel: bool, site: str) -> None:
 
 
 def check_password(password: str, *, user: str, site: str) -> None:
-    """Raises CallerError for a password that ``user`` may not choose at ``site``."""
+    """Raise CallerError for a password that ``user`` may not choose at ``site``."""
     password = composed(password)
     if not MIN_PASSWORD <= len(password) <= MAX_PASSWORD:
         bounds = {"least": MIN_PASSWORD, "most": MAX_PASSWORD}
@@ -90,7 +90,7 @@ def check_password(password: str, *, user: str, site: str) -> None:
 
 
 def check_pin(pin: str) -> None:
-    """Raises CallerError for a PIN that may not be chosen."""
+    """Raise CallerError for a PIN that may not be chosen."""
     if not _PIN.fullmatch(pin) or not pin.isascii():
         raise CallerError(Message("pin_length"))
     if is_easy_pin(pin):
@@ -98,7 +98,7 @@ def check_pin(pin: str) -> None:
 
 
 def is_easy_password(password: str) -> bool:
-    """Return whether it is among the first to be tried."""
+    """Return whether a password is among the first to be tried."""
     text = _without_separator(_bare(password))
     block = _block_of(text)
     return (
@@ -111,7 +111,7 @@ def is_easy_password(password: str) -> bool:
 
 
 def is_easy_pin(pin: str) -> bool:
-    """Return whether it is among the first to be tried."""
+    """Return whether a PIN is among the first to be tried."""
     return (
         len(set(pin)) <= 2
         or len(_block_of(pin)) < len(pin)
@@ -169,8 +169,8 @@ def _word(text: str, place: int) -> int:
 
 
 def _run(text: str, place: int) -> int:
-    """Return the length of a run of one sign, of signs each next to the one before in the alphabet, or of
-    evenly spaced digits; 0 for none."""
+    """Return the length of a run of one character, of characters in alphabetical order, or of evenly spaced
+    digits; 0 for none."""
     if place + 1 >= len(text):
         return 0
     step = ord(text[place + 1]) - ord(text[place])
@@ -214,8 +214,8 @@ async def hash_secret(secret: str) -> str:
 
 
 async def verify_secret(stored: str, secret: str) -> bool:
-    """Return whether ``stored`` is a hash of the secret in any of its Unicode forms: older hashes are of the
-    form in which the secret was typed."""
+    """Return whether ``stored`` is a hash of the secret in any of its Unicode forms: older hashes were made
+    from the form in which the secret was typed."""
     forms = dict.fromkeys((composed(secret), secret, unicodedata.normalize("NFD", secret)))
     return await asyncio.to_thread(lambda: any(_is_hash_of(stored, form) for form in forms))
 

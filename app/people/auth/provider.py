@@ -1,10 +1,10 @@
-"""The provider of company accounts: its addresses and keys, and the claims that a code of it is worth.
+"""The provider of company accounts: its addresses and keys, and the claims for which it exchanges a code.
 
 Authlib speaks OpenID Connect: the address of a login, the redemption of a code, the claims of an ID token.
-What it leaves to its caller is here: how much is read, how long that may take, and when.
+The parts that it leaves to its caller are here: how much is read, how long that may take, and when.
 
 Only `Provider.watch` reads metadata and keys, at times of its choice: however many browsers come, the
-provider gets no request for them. A browser that comes back from it with a code is one request, in its turn.
+provider gets no request for them. A browser that returns from it with a code is one request, in its turn.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_n
 from bus.messages import Message
 
 REFRESH_WITHIN_S, EXCHANGE_S = 10.0, 8.0
-"""How long the provider may take for its metadata and keys, and for a code."""
+"""The seconds that the provider may take for its metadata and keys, and for a code."""
 SOCKET_S = 5.0
 MAX_CONNECTIONS = 6
 MAX_BYTES = 256 * 1024
-"""Bound of a response. The keys of Entra ID are 20 KB."""
+"""The most bytes of a response. The keys of Entra ID are 20 KB."""
 MAX_KEYS = 100
 REFRESH_S = 300.0
 FIRST_WAIT_S, MAX_WAIT_S = 2.0, 60.0
 KEYS_EVERY_S = 60.0
-"""For an unknown key the keys are read again, but not more often."""
+"""The seconds before the keys are read again for an unknown key."""
 LEEWAY_S = 60.0
-"""How far the clocks of provider and server may differ."""
+"""The most seconds by which the clocks of provider and server may differ."""
 MAX_SUBJECT = 255
 _SIGNED = JWSRegistry(
     algorithms=[
@@ -57,7 +57,7 @@ _SIGNED = JWSRegistry(
     ],
     strict_check_header=False,
 )
-"""Signatures by a key that only the provider has: neither ``none``, nor by a secret that is shared."""
+"""Signatures by a key that only the provider has: neither ``none``, nor by a shared secret."""
 _BASIC, _POST = "client_secret_basic", "client_secret_post"
 _HEADERS = {"Accept": "application/json", "Accept-Encoding": "identity", "User-Agent": "lineside"}
 
@@ -68,15 +68,15 @@ Claims = Mapping[str, Any]
 
 
 class ProviderError(LinesideError):
-    """Why the provider is of no use now. The text holds nothing that it wrote."""
+    """Raised when the provider cannot be used now. The text holds nothing that the provider wrote."""
 
 
 class InvalidTokenError(Exception):
-    """Why an ID token is refused. The text is for the log: it holds nothing of the token but names."""
+    """Raised for an ID token that is refused. The text is for the log: of the token it holds only names."""
 
 
 class UnknownKeyError(InvalidTokenError):
-    """The token is signed by none of the known keys: the provider may have a new one."""
+    """Raised for a token that is signed by none of the known keys: the provider may have a new one."""
 
 
 class Metadata(msgspec.Struct, frozen=True):
@@ -159,7 +159,7 @@ class Provider:
                         await self._failed.wait()
 
     async def refresh(self) -> None:
-        """Read the metadata and the keys now. What was read before is kept where that fails."""
+        """Read the metadata and the keys now. After a failure the earlier ones are kept."""
         try:
             async with asyncio.timeout(REFRESH_WITHIN_S):
                 metadata = await self._read_metadata()
@@ -173,7 +173,7 @@ class Provider:
 
     def login_url(self, attempt: LoginAttempt, callback: str, *, reauthenticate: bool) -> str | None:
         """Return where a browser goes to sign in; None while the provider is not known. ``reauthenticate``:
-        the person is to sign in there again."""
+        whether the person has to sign in there again."""
         if self._metadata is None:
             return None
         url, _ = self._open_client().create_authorization_url(
@@ -193,7 +193,7 @@ class Provider:
         return issuer == self.settings.issuer
 
     async def claims(self, code: str, attempt: LoginAttempt, callback: str) -> Claims:
-        """Redeem a code for an ID token, and verify that. Raises NotAdmittedError."""
+        """Redeem a code for an ID token, and verify it. Raises NotAdmittedError."""
         if self._metadata is None:
             raise NotAdmittedError("away")
         try:
@@ -228,8 +228,8 @@ class Provider:
         )
 
     async def _redeem(self, metadata: Metadata, code: str, verifier: str, callback: str) -> str:
-        """Return the ID token for a code. Raises NotAdmittedError for a code that gives none, as one that was
-        made up: that is no fault of the provider, and must not close it to all others."""
+        """Return the ID token for a code. Raises NotAdmittedError for a code that gives none, as a made-up
+        one: that is no fault of the provider, and must not close it to all others."""
         credentials = (self.settings.client_id, read_secret_text(self.settings.client_secret_file))
         # RFC 6749, 2.3.1 has both encoded in the header, which Authlib leaves out.
         in_header = httpx2.BasicAuth(*map(quote_plus, credentials))
@@ -310,7 +310,7 @@ class Provider:
 
 
 class _BoundedTransport(httpx2.AsyncHTTPTransport):
-    """A transport that reads each response completely, as it came and up to `MAX_BYTES`. It drops the
+    """A transport that reads each response completely, unmodified and up to `MAX_BYTES`. It drops the
     headers, so that nothing is unpacked, which could be of any size, and nothing is kept."""
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
@@ -330,7 +330,7 @@ class _BoundedTransport(httpx2.AsyncHTTPTransport):
 
 @contextmanager
 def _reading(url: str) -> Iterator[None]:
-    """Raises ProviderError for a provider that cannot be reached, or whose response is malformed."""
+    """Raise ProviderError for a provider that cannot be reached, or whose response is malformed."""
     try:
         yield
     except httpx2.HTTPStatusError:

@@ -1,6 +1,6 @@
-"""What every account may do now, in memory, and what it may still do after a restore.
+"""The rights of every account now, in memory, and those that remain after a restore.
 
-A request is authorized when it comes. A restore, a batch, a change of the baud rate or an open page goes on
+A request is authorized when it comes. A restore, a batch, a change of the baud rate or an open page continues
 after that, and its account may be disabled meanwhile, also by the command line in another process. The rights
 are looked up before each command of such work; all of it follows from one look at the store: twice a second,
 and after each change that this process makes.
@@ -30,9 +30,9 @@ from bus.messages import Message
 
 WATCH_EVERY_S = 0.5
 FRESH_S = 1.0
-"""Rights that were read longer ago permit nothing until the store has been read again."""
+"""Rights that were read more seconds ago permit nothing until the store has been read again."""
 RECHECK_S = 20.0
-"""How often an open connection looks up a right that ends without a change, as the idle time of a session."""
+"""The seconds between an open connection's checks for rights that end by themselves, as an idle session."""
 
 USER_ENDED = Message("rights_user_ended")
 TOKEN_ENDED = Message("rights_token_ended")
@@ -53,8 +53,8 @@ class Standing:
 
 
 def why_withdrawn(person: Caller, standing: Standing | None) -> Message | None:
-    """Return why what a person began must stop; None while it may go on. ``standing``: that of the account
-    now."""
+    """Return why a task that a person began must stop; None while it may continue. ``standing``: that of the
+    account now."""
     is_token = person.via == "token"
     if standing is None:
         return TOKEN_ENDED if is_token else USER_ENDED
@@ -74,17 +74,17 @@ class Rights:
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
     _standings: Mapping[str, Standing] = field(default_factory=dict)
     _tokens: Mapping[bytes, Token] = field(default_factory=dict)
-    """By the hashes of their secrets."""
+    """The tokens by the hashes of their secrets."""
     _read_at: Monotonic = Monotonic(float("-inf"))
     _withdrawn: list[AccountSubscriber] = field(default_factory=list)
 
     def on_withdrawn(self, subscriber: AccountSubscriber) -> None:
-        """Call ``subscriber`` with each account that may do less than before, or is signed in no more."""
+        """Call ``subscriber`` with each account that may do less than before, or is signed in nowhere now."""
         self._withdrawn.append(subscriber)
 
     async def check(self, person: Caller) -> None:
-        """Raises Problem 403 ``rights_withdrawn`` when the account of a person may no longer do what it could
-        when the person was authenticated; StoreError when that cannot be known."""
+        """Raise Problem 403 ``rights_withdrawn`` if the account of a person may no longer do what it could
+        when the person was authenticated; StoreError if that cannot be known."""
         if not person.has_account:
             return
         if not self._is_fresh or self._why_withdrawn(person):
@@ -94,7 +94,7 @@ class Rights:
             raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")
 
     def token(self, hash_: bytes) -> Token | None:
-        """Return a token by the hash of its secret; None where only the store knows whether it is there."""
+        """Return a token by the hash of its secret; None if only the store knows whether it exists."""
         return self._tokens.get(hash_) if self._is_fresh else None
 
     @property
@@ -102,15 +102,15 @@ class Rights:
         return self.monotonic() - self._read_at <= FRESH_S
 
     def announce(self) -> None:
-        """Have each open connection look up again whether it is allowed."""
+        """Make each open connection check again whether it is allowed."""
         self.changes += 1
         self._changed.set()
         self._changed = asyncio.Event()
 
     async def apply(self) -> None:
-        """Apply what this process has just changed of an account, or the end of a session. Raises
+        """Apply an account's change or a session's end that this process has just stored. Raises
         StoreError."""
-        # First: what acts on a withdrawal may wait for the disk.
+        # This goes first: the code that acts on a withdrawal may wait for the disk.
         self.announce()
         await self.refresh()
 
@@ -119,7 +119,7 @@ class Rights:
         began = self.monotonic()
         standings, tokens = await self._database.read(self._read)
         if began < self._read_at:
-            return  # another read began later and is here already
+            return  # Another read began later and is here already.
         before, self._standings, self._tokens = self._standings, standings, tokens
         self._read_at = began
         if before != standings:
@@ -127,11 +127,12 @@ class Rights:
         lessened = [
             account for account, standing in before.items() if _is_less(standing, standings.get(account))
         ]
-        # Together: a store that cannot record what one subscriber did keeps no other from acting.
+        # They run together: a store that cannot record one subscriber's act keeps no other from acting.
         await asyncio.gather(*(withdrawn(account) for account in lessened for withdrawn in self._withdrawn))
 
     async def watch(self) -> None:
-        """Run until canceled: apply what the command line changes in the store, and what ends by itself."""
+        """Run until canceled: apply changes that the command line makes in the store, and rights that
+        expire."""
         fault = ""
         while True:
             try:
@@ -146,8 +147,8 @@ class Rights:
     async def until_withdrawn(
         self, is_allowed: Callable[[], Awaitable[bool]], seen: int, every_s: float = RECHECK_S
     ) -> None:
-        """Wait until ``is_allowed`` denies, which is called at each change and every ``every_s``. ``seen``:
-        the `changes` before it was allowed."""
+        """Wait until ``is_allowed`` returns False; it is called at each change and every ``every_s``.
+        ``seen``: the `changes` before it was allowed."""
         while True:
             if self.changes == seen:
                 with suppress(TimeoutError):
@@ -186,8 +187,8 @@ def _is_less(before: Standing, now: Standing | None) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Withheld:
-    """What a restored store lost, each by name, in order: tokens that are revoked, users that are disabled,
-    users with a lower role than in the backup. ``admins``: how many admins can sign in."""
+    """The rights that a restored store lost, each by name, in order: tokens that are revoked, users that are
+    disabled, users with a lower role than in the backup. ``admins``: how many admins can sign in."""
 
     tokens: tuple[str, ...]
     disabled: tuple[str, ...]
@@ -239,8 +240,8 @@ def _company_account(row: StoreRow) -> CompanyAccount | None:
 
 
 def withhold(restored: StoreConnection, present: Present | None, *, keep_tokens: bool = False) -> Withheld:
-    """Remove from a restored store the rights withdrawn since its backup. ``present``: None if it is unknown
-    which."""
+    """Remove from a restored store the rights withdrawn since its backup. ``present``: None if they are
+    unknown."""
     restored.execute("DELETE FROM sessions")
     gone = [] if keep_tokens else _tokens_unknown(restored, present)
     restored.executemany("DELETE FROM tokens WHERE hash = ?", [(hash_,) for hash_, _ in gone])

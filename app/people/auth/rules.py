@@ -17,7 +17,7 @@ from bus.messages import Message, term
 
 MAX_NAME = 40
 _LETTERS = frozenset(string.ascii_letters + string.digits + "._@-" + "ßæœøþłÆŒØÞŁ")
-"""What a name consists of, with or without accents: letters of one script, as those of others look alike."""
+"""The letters of a name, besides accents: those of one script, because letters of others look alike."""
 _SAME_SHAPE = str.maketrans("01i", "oll")
 """Look-alikes in a sans-serif font, in small letters: ``I``, ``l`` and 1."""
 
@@ -27,7 +27,7 @@ DAY = 24 * HOUR
 
 @dataclass(frozen=True)
 class Lifetime:
-    """How long a session lasts, in seconds: since it was last used, and in all."""
+    """The duration of a session in seconds: since it was last used, and in all."""
 
     idle_s: float
     absolute_s: float
@@ -46,11 +46,11 @@ def lifetime(sessions: Sessions, *, panel: bool) -> Lifetime:
 
 MAX_TOKEN_DAYS = 3650
 USE_NOTED_EVERY_S = 60.0
-"""A session's last use is written this seldom; every request would wear the disk."""
+"""The seconds between two notes of a session's last use; one for every request would wear the disk."""
 
 
 def check_name(name: str) -> None:
-    """Raises CallerError for a name that no user or token may have."""
+    """Raise CallerError for a name that no user or token may have."""
     is_composed = unicodedata.is_normalized("NFC", name)
     is_latin = is_composed and all(unicodedata.normalize("NFD", each)[0] in _LETTERS for each in name)
     if not is_latin or not 1 <= len(name) <= MAX_NAME:
@@ -58,7 +58,7 @@ def check_name(name: str) -> None:
 
 
 def check_distinct(name: str, names: Iterable[str]) -> None:
-    """Raises CallerError for a name that a person may take for one of ``names``."""
+    """Raise CallerError for a name that a person may take for one of ``names``."""
     shape = _shape(name)
     other = next((each for each in names if each != name and _shape(each) == shape), None)
     if other is not None:
@@ -73,13 +73,13 @@ def _shape(name: str) -> str:
 
 
 def check_panel_role(role: Role) -> None:
-    """Raises CallerError for a role that no panel may have: anyone who passes by a panel may touch it."""
+    """Raise CallerError for a role that no panel may have: anyone who passes by a panel may touch it."""
     if not Role.OPERATOR.includes(role):
         raise CallerError(Message.of("panel_role_too_high", role=term(role)))
 
 
 def check_token_bus(role: Role, bus: str, buses: Collection[str]) -> None:
-    """Raises CallerError unless exactly a worker's token names a bus, and one of ``buses``."""
+    """Raise CallerError unless exactly a worker's token names a bus, and one of ``buses``."""
     known = ", ".join(buses) or "none"
     if role is not Role.WORKER:
         if bus:
@@ -100,13 +100,13 @@ def token_expiry(now: UnixTime, days: int | None) -> UnixTime | None:
 
 
 def check_home(home: str) -> None:
-    """Raises CallerError unless it is a page of ours, so that nothing redirects elsewhere."""
+    """Raise CallerError unless ``home`` is a page of ours, so that nothing redirects elsewhere."""
     if not is_own_path(home):
         raise CallerError(Message("home_page_elsewhere"))
 
 
 def is_own_path(path: str) -> bool:
-    r"""Return whether a redirect to this stays here: browsers take ``//`` and ``/\`` for another host."""
+    r"""Return whether a redirect to ``path`` stays here: browsers take ``//`` and ``/\`` for another host."""
     return path.startswith("/") and not path.startswith(("//", "/\\")) and path.isprintable()
 
 
@@ -119,5 +119,5 @@ def new_secret() -> str:
 
 
 def secret_hash(secret: str) -> bytes:
-    """Return the stored form of a random secret; it needs no slow hash, as 256 bits cannot be guessed."""
+    """Return the stored form of a random secret; a fast hash is enough, as 256 bits cannot be guessed."""
     return hashlib.sha256(secret.encode()).digest()

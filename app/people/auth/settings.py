@@ -15,7 +15,7 @@ from bus.validation import OneLine
 
 
 class Sessions(StrictModel):
-    """How long a sign-in lasts: since it was last used, and in all."""
+    """The duration of a sign-in: since it was last used, and in all."""
 
     idle_hours: Annotated[float, Field(strict=True, ge=0.25, le=168)] = 12
     """A shift and its overlap."""
@@ -34,7 +34,7 @@ class Sessions(StrictModel):
 
 
 def _issuer(url: str) -> str:
-    """Raises ValueError for what identifies no provider, and for one that is reached in clear."""
+    """Return the URL of a provider. Raises ValueError if it identifies none, or is reached in clear."""
     parts = urlsplit(url)
     if parts.query or parts.fragment:
         raise url_refusal(Message("setting_issuer"))
@@ -64,7 +64,7 @@ class OidcSettings(StrictModel):
 
     @property
     def host(self) -> str:
-        """Return the name of the provider in messages."""
+        """The name of the provider in messages."""
         return urlsplit(self.issuer).netloc
 
     @field_validator("scopes")

@@ -4,12 +4,12 @@ A name and a place together back off: guessing waits, and no one is locked out e
 in which this name has signed in before (OWASP: device cookies), or else the network of the address. Such a
 browser has its own count and waits for nothing else. Of the others a network that fails with many names
 waits, and so does a name that many networks try, except at a network from which anyone has signed in before.
-A network is judged alike for every name, whether a user has it or not: what it gets at a shared address does
+A network is judged alike for every name, whether a user has it or not: the responses to a shared address do
 not show which names exist.
 
-The first admin of a site is created in the browser with a code that the server printed at its start: whoever
-reads the output of the server could add a user by the command line as well. The code holds until there is a
-user, or the server ends.
+The first admin of a site is created in the browser with a code that the server printed at its start: a person
+who reads the output of the server could add a user by the command line as well. The code holds until there is
+a user, or the server ends.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ K = TypeVar("K")
 V = TypeVar("V")
 
 FREE, FREE_OF_PANEL = 5, 3
-"""Failures of a name at one place without any wait; a PIN has few digits."""
+"""The failures of a name at one place without any wait; a PIN has few digits."""
 FIRST_WAIT_S, MAX_WAIT_S = 2.0, 300.0
 FORGOTTEN_AFTER_S = 900.0
-"""Failures no longer count after so long without one; the longest wait is over by then."""
+"""The seconds without a failure after which none counts any more; the longest wait is over by then."""
 OF_ADDRESS, OF_ADDRESS_WINDOW_S = 30, 300.0
-"""Failures of one address, which several people may share behind a proxy; browsers with their own count do
-not add to them."""
+"""The failures of one address, which several people may share behind a proxy; browsers with their own count
+do not add to them."""
 OF_NAME = 10
-"""Tries of one name from networks where no one ever signed in, all together, before they are slowed down."""
+"""The tries of one name from networks where no one ever signed in, all together, before they are slowed."""
 OF_NAME_EVERY_S, OF_PANEL_EVERY_S = 10.0, 30.0
 MAX_KEPT = 10_000
-"""How many names, addresses and pairs each are remembered; what was used longest ago goes first."""
+"""The most names, addresses and pairs that are each remembered; the longest unused are dropped first."""
 
 
 @dataclass(slots=True)
@@ -69,7 +69,7 @@ class _Failures:
     at: Monotonic = Monotonic(0.0)
 
     def recent(self, now: Monotonic) -> int:
-        """Return how many of them still count."""
+        """Return how many failures still count."""
         return self.count if now - self.at < FORGOTTEN_AFTER_S else 0
 
 
@@ -85,7 +85,7 @@ class Bounded(Generic[K, V]):
         return len(self._values)
 
     def get(self, key: K) -> V:
-        """Return the value of a key, for reading; one that is changed must be `kept`."""
+        """Return the value of a key, for reading; use `kept` to change one."""
         found = self._values.get(key)
         return self._new() if found is None else found
 
@@ -103,7 +103,7 @@ class Bounded(Generic[K, V]):
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """A sign-in to be tried. ``own_browser``: ``place`` is a browser in which the name has signed in before;
+    """An attempt to sign in. ``own_browser``: ``place`` is a browser in which the name has signed in before;
     ``used_network``: it is a network from which someone has, under any name."""
 
     name: str
@@ -119,7 +119,7 @@ class Attempt:
 
     @property
     def pair(self) -> tuple[str, str]:
-        """Return what backs off together."""
+        """The key of the failures that back off together."""
         return self.name, self.place
 
 
@@ -144,7 +144,8 @@ class Throttle:
         return max(waits)
 
     def begin(self, attempt: Attempt, now: Monotonic) -> None:
-        """Count an attempt before its result is known: otherwise each of many at once would be allowed."""
+        """Count an attempt before its result is known, because otherwise each of many at once would be
+        allowed."""
         if not attempt.known:
             self._names_of(attempt).kept(attempt.name).pour(1, now)
 
@@ -157,7 +158,7 @@ class Throttle:
 
     def succeeded(self, attempt: Attempt, now: Monotonic) -> None:
         """Count a right secret, which clears the failures of the name's own browser. Those of its network
-        stay: others share it, and would learn that there is such a user."""
+        stay: other people share it, and would learn that there is such a user."""
         if attempt.own_browser:
             self._pairs.drop(attempt.pair)
         if not attempt.known:
@@ -178,10 +179,10 @@ class Throttle:
 _WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
 """The error for a person, and for a panel."""
 MAX_HASHED_AT_ONCE = 2
-"""Each takes 20 ms of a core."""
+"""The most secrets hashed at once. Each takes 20 ms of a core."""
 MAX_WAITING_OF_PLACE = 5
 MAX_WAITING = 200
-"""Two seconds of hashing; at most half of it for places from which no one has signed in."""
+"""The most that wait, for two seconds of hashing; at most half for places without an earlier sign-in."""
 
 
 class WrongSecretError(Problem):
@@ -210,7 +211,7 @@ class SignIn:
     site: str = ""
     _throttle: Throttle = field(default_factory=Throttle)
     _has_users: bool = False
-    """Once true it stays so: the last admin with a password cannot be removed."""
+    """Whether there are users. Once true it stays so: the last admin with a password cannot be removed."""
     _hashing: FairQueue[str] = field(
         default_factory=lambda: FairQueue(MAX_HASHED_AT_ONCE, 1, MAX_WAITING_OF_PLACE, MAX_WAITING)
     )
@@ -218,11 +219,9 @@ class SignIn:
     async def sign_in(
         self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
     ) -> SignedIn:
-        """Begin a session. ``device``: the cookie of a browser that has signed in before.
-
-        Raises WrongSecretError, after which `note_refusal` is to be called; Problem 429 with the time to wait
-        after too many, 403 for a panel that has more rights than a panel may have.
-        """
+        """Begin a session. ``device``: the cookie of a browser that has signed in before. Raises
+        WrongSecretError, after which `note_refusal` is to be called; Problem 429 with the time to wait after
+        too many, 403 for a panel that has more rights than a panel may have."""
         user = await self.identify(name, secret, address, panel=panel, device=device)
         if user.is_refused_panel:
             refusal = Message.of("panel_with_higher_role", called=user.name, role=term(user.role))
@@ -233,10 +232,8 @@ class SignIn:
     async def identify(
         self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
     ) -> User:
-        """Return the user whose password or PIN it is: who signs in, or signs at the page of another.
-
-        Raises WrongSecretError, after which `note_refusal` is to be called; Problem 429 after too many.
-        """
+        """Return the user whose password or PIN it is, who signs in, or signs at the page of another user.
+        Raises WrongSecretError, after which `note_refusal` is to be called; Problem 429 after too many."""
         if not name or not secret:
             # No user has an empty name or secret: it is not checked, costs nothing, and is no event.
             raise Problem(401, "unauthorized", _WRONG[panel])
@@ -258,7 +255,7 @@ class SignIn:
             raise CallerError(Message("present_password_wrong"))
 
     async def sign_out(self, cookie: str, person: Person) -> None:
-        """End the session of a cookie, which is of this person. Raises Problem 403."""
+        """End the session of a cookie, which belongs to this person. Raises Problem 403."""
         LOG_OUT.check(person)
         await self.end(rules.secret_hash(cookie))
         performed = LOG_OUT.by(person)
@@ -325,8 +322,8 @@ class SignIn:
 
     async def _user_or_decoy(self, name: str) -> tuple[User | None, str]:
         """Return a user with the hash of the secret. For an unknown name, and for a user without a password,
-        it is the hash of another user, always the same one: hashes of an earlier version take longer, and the
-        time must not reveal which names exist."""
+        the hash is that of another user, always the same one: hashes of an earlier version take longer, and
+        the time must not reveal which names exist."""
         number = int(self._events.keys.ring.seal("decoy", name), 16)
 
         def find(connection: StoreConnection) -> tuple[User | None, str]:
@@ -376,8 +373,8 @@ class SignIn:
 async def count_refusal(
     events: EventLog, kind: EventKind, what: Message, who: str | Message, address: str, message: str = ""
 ) -> None:
-    """Count a refusal in the events; of an IPv6 address the subnet, as a sender has as many of its addresses
-    as it likes. Without its event a refusal still holds: the disk may be full."""
+    """Count a refusal in the events; for an IPv6 address by its subnet, because a sender has as many of its
+    addresses as it likes. Without its event a refusal still holds: the disk may be full."""
     with suppress(StoreError):
         await events.repeated.count(kind, what, who=who, origin=source_of(address), message=message)
 
@@ -397,13 +394,13 @@ def _too_soon(seconds: int) -> Problem:
 _LETTERS = "ABCDEFGHJKMNPQRSTVWXYZ23456789"
 """Letters and digits of which no two look alike."""
 GROUPS, GROUP = 3, 4
-"""59 bits: a guess every ten seconds finds none."""
+"""The groups of a code and their length: 59 bits, of which a guess every ten seconds finds none."""
 
 
 @dataclass(eq=False, repr=False)
 class FirstAdmin:
-    """The way to the first admin. ``code`` is empty once there is a user, and in a demo, whose requests need
-    none."""
+    """The creation of the first admin. ``code`` is empty once there is a user, and in a demo, whose requests
+    need none."""
 
     _accounts: Accounts
     _sign_in: SignIn
@@ -462,5 +459,5 @@ def new_code() -> str:
 
 
 def _plain(code: str) -> str:
-    """Return a code in capitals and without what divides its groups."""
+    """Return a code in capitals, without the separators of its groups."""
     return "".join(code.upper().replace("-", " ").split())

@@ -1,7 +1,7 @@
 """Signing in by a company account, by OpenID Connect Core 1.0, the authorization code with PKCE: to the
 provider, and back with a code.
 
-The server keeps nothing of a login that is under way: a `LoginAttempt` is in its browser.
+The server keeps nothing of an unfinished login: its `LoginAttempt` is in the browser.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 MAX_AT_ONCE = 4
 MAX_WAITING_OF_PLACE, MAX_WAITING = 5, 100
 ALL_S = 10.0
-"""How long a browser that is back from the provider waits, for its turn and for the provider."""
+"""The seconds that a browser back from the provider waits, for its turn and for the provider."""
 FAILURES, FAILURES_PER_S = 10, 0.2
-"""Failures of one address, at once and per second. Only a browser that makes up codes fails so often."""
+"""The failures of one address, at once and per second. Only a browser that makes up codes has so many."""
 MAX_CODE = 4096
 MAX_GROUPS = 5000
 
@@ -48,7 +48,7 @@ _log = structlog.get_logger()
 
 
 def require_package() -> None:
-    """Raises LinesideError where the package that speaks OpenID Connect is not installed."""
+    """Raise LinesideError if the package that speaks OpenID Connect is not installed."""
     if find_spec("authlib") is None:
         raise LinesideError(Message("oidc_lacks_package"))
 
@@ -79,7 +79,7 @@ class SingleSignOn:
 
     @property
     def fault(self) -> Message | None:
-        """Return why no one can sign in by a company account now."""
+        """Why no one can sign in by a company account now; None if it is possible."""
         return None if self.provider is None else self.provider.fault
 
     async def start(self) -> None:
@@ -184,7 +184,7 @@ class SingleSignOn:
 
 
 def name_of(claims: Mapping[str, Any], settings: OidcSettings) -> str:
-    """Return the name of a new user with these claims; empty where no user may have it."""
+    """Return the name for a new user with these claims; empty if no user may have it."""
     name = claims.get(settings.name_claim)
     if not isinstance(name, str):
         return ""
@@ -195,7 +195,7 @@ def name_of(claims: Mapping[str, Any], settings: OidcSettings) -> str:
 
 
 def _role_of(claims: Mapping[str, Any], settings: OidcSettings) -> Role | None:
-    """Return the highest role of the groups; None where no group has one."""
+    """Return the highest role of the groups; None if no group has one."""
     found = claims.get(settings.groups_claim)
     groups = [found] if isinstance(found, str) else found if isinstance(found, list) else []
     roles = {

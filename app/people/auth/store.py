@@ -13,7 +13,7 @@ from app.core.web.access import Role
 from bus.instants import UnixTime
 
 MAX_PLACES = 50
-"""Networks and browsers of one user."""
+"""The most networks and browsers of one user."""
 
 
 class CompanyAccount(NamedTuple):
@@ -37,7 +37,7 @@ class User:
     created_at: UnixTime
     seen_at: UnixTime | None
     weak_secret: bool = False
-    """The password or PIN, as last used, is one that today's rules refuse."""
+    """Whether today's rules refuse the password or PIN, as last used."""
     secret_serial: int = 0
     """How many passwords or PINs the user has had before this one."""
     company_account: CompanyAccount | None = None
@@ -45,7 +45,7 @@ class User:
 
     @property
     def credential(self) -> str:
-        """Return a text that differs once the user was added again, or has another password."""
+        """A text that differs once the user was added again, or has another password."""
         return f"{self.created_at} {self.secret_serial}"
 
     @property
@@ -80,12 +80,12 @@ class Token:
 
     @property
     def credential(self) -> str:
-        """Return a text that differs once the token was revoked and created again."""
+        """A text that differs once the token was revoked and created again."""
         return f"{self.id} {self.created_at}"
 
     @property
     def last_day(self) -> str:
-        """Return the day on which the token expires, ISO 8601 in UTC; empty if it does not."""
+        """The day on which the token expires, ISO 8601 in UTC; empty if it does not."""
         if self.expires_at is None:
             return ""
         return datetime.fromtimestamp(float(self.expires_at), UTC).date().isoformat()
@@ -173,8 +173,8 @@ def set_role(connection: StoreConnection, name: str, role: Role) -> bool:
 
 
 def set_secret(connection: StoreConnection, name: str, secret_hash: str, keep: bytes = b"") -> bool:
-    """Store a new password or PIN and end every session of the user but that with the hash ``keep``. Return
-    whether there is such a user."""
+    """Store a new password or PIN and end every session of the user except that with the hash ``keep``.
+    Return whether there is such a user."""
     _end_sessions_of(connection, name, keep)
     change = (
         "UPDATE users SET secret_hash = ?, weak_secret = 0, secret_serial = secret_serial + 1 WHERE name = ?"
@@ -183,13 +183,13 @@ def set_secret(connection: StoreConnection, name: str, secret_hash: str, keep: b
 
 
 def replace_hash(connection: StoreConnection, name: str, before: str, secret_hash: str) -> None:
-    """Store another hash of the same password or PIN, unless the user has got another one meanwhile."""
+    """Store another hash of the same password or PIN, unless the user has changed it meanwhile."""
     change = "UPDATE users SET secret_hash = ? WHERE name = ? AND secret_hash = ?"
     connection.execute(change, (secret_hash, name, before))
 
 
 def set_disabled(connection: StoreConnection, name: str, disabled: bool) -> bool:
-    """Refuse or admit a user again; sessions end. Return whether there is such a user."""
+    """Disable a user or enable again; sessions end. Return whether there is such a user."""
     _end_sessions_of(connection, name)
     change = "UPDATE users SET disabled = ? WHERE name = ?"
     return connection.execute(change, (disabled, name)).rowcount == 1
@@ -243,7 +243,7 @@ def are_places(connection: StoreConnection, name: str, browser: str, network: st
 
 
 def note_places(connection: StoreConnection, name: str, places: Iterable[str], now: UnixTime) -> None:
-    """Store from where a user has signed in; the newest places of each user are kept."""
+    """Store the places where a user has signed in; the newest places of each user are kept."""
     note = upsert("known_places", ("name", "place"), ("seen_at",))
     connection.executemany(note, [(name, place, now) for place in places])
     forget = (
@@ -281,7 +281,7 @@ def signed_in(connection: StoreConnection, now: UnixTime) -> set[str]:
 
 
 def _end_sessions_of(connection: StoreConnection, name: str, keep: bytes = b"") -> None:
-    """Sign a user out everywhere but in the session with the hash ``keep``."""
+    """Sign a user out everywhere except in the session with the hash ``keep``."""
     connection.execute("DELETE FROM sessions WHERE name = ? AND hash != ?", (name, keep))
 
 
