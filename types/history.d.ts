@@ -30,18 +30,31 @@ interface Curve extends Result {
   name: string;
   label: string;
   place: number;
-  dimmed: boolean;
   past: boolean;
 }
 
-/** Where the name of a line stands. */
-interface LineEnd {
-  label: string;
-  place: number;
-  dimmed: boolean;
-  value: number;
-  scale: string;
+/** What the trends page shows: the view, what was fetched for it, where nothing was read, and where the cursor is. `chosen`: the
+ * series whose scale has its axis shown, `dimmed`: those whose lines are, `more`: of which lists there is more. */
+interface Trends {
+  words: TrendWords;
+  catalogue: import("../static/js/trends-view.js").Catalogue;
+  view: View;
+  range: Span;
+  at: number | null;
+  chosen: string;
+  dimmed: Set<string>;
+  curves: Curve[];
+  past: Curve[];
+  compared: Comparison | null;
+  marks: Mark[];
+  alarms: Alarm[];
+  notes: Note[];
+  more: Set<string>;
+  unknown: Span[];
 }
+
+/** What a unit is called, or a bus. */
+type NamesPlace = (bus: string, unit: number | null) => string;
 
 /** By how much an earlier span is earlier, in seconds; null where there is none, and `name` is why. */
 interface Comparison {
@@ -65,13 +78,6 @@ interface Note extends StoredNote {
 /** What a preset shows now: from when, and until when; null: up to now. */
 type Preset = (now: number, starts: number[]) => [from: number, to: number | null];
 
-/** The names of the lanes above the curves, and of the bar below them. */
-interface LaneWords {
-  alarms: string;
-  notes: string;
-  late: string;
-}
-
 /** What happened, for example an act of a person; `until` is the end of readings that came late, null of all else. */
 interface Mark {
   t: number;
@@ -91,9 +97,6 @@ interface Alarm {
   place: string;
 }
 
-/** The nodes of one item of a list. */
-type Content<T> = (item: T) => (string | Node)[];
-
 interface CatalogueUnit {
   key: string;
   name: string;
@@ -106,42 +109,9 @@ interface Scale {
   most: number;
 }
 
-/** The times of the cursors, null where one is not set. */
-interface Cursors {
-  a: number | null;
-  b: number | null;
-}
-
-/** Drawn over the curves. */
-interface Overlay {
-  marks: Mark[];
-  alarms: Alarm[];
-  notes: Note[];
-  a: number | null;
-  b: number | null;
-}
-
 interface PictureEvents {
   cursor(at: number | null): void;
   selected(from: number, to: number): void;
-}
-
-/** `barefoot`: without labels below, because lanes are there; `lanes`: how many it has, 0 for curves. */
-interface PlotShape {
-  margin: { left: number; right: number };
-  barefoot?: boolean;
-  lanes?: number;
-}
-
-interface RowActions {
-  remove(name: string): void;
-  choose(place: number): void;
-}
-
-/** The cursor of the picture; `put` moves it and announces what the values read there. */
-interface Cursor {
-  at: number | null;
-  put(seconds: number): void;
 }
 
 type View = import("../static/js/trends-view.js").View;

@@ -199,8 +199,9 @@ interface PartsById {
   "trend-events-list": HTMLElement;
   "trend-exact": HTMLFormElement & { readonly elements: { from: HTMLInputElement; to: HTMLInputElement } };
   "trend-fault": HTMLElement;
-  "trend-lanes": HTMLElement;
   "trend-at": HTMLElement;
+  "trend-brighten": HTMLButtonElement;
+  "trend-remove": HTMLButtonElement;
   "trend-compare": HTMLSelectElement;
   "trend-legend": HTMLElement;
   "trend-marks": HTMLInputElement;

@@ -1,5 +1,7 @@
-// Requests the history and joins the results into one table for uPlot.
-import { HISTORY, get, iso, json, spanOf, unitQuery } from "./history-requests.js";
+// Requests the history, and works out from its results what the chart, the table and the texts show.
+import { get, HISTORY, iso, json, spanOf, unitQuery } from "./history-requests.js";
+import { formatTime } from "./site-time.js";
+import { dayBefore, shiftAt } from "./trends-time.js";
 
 /** uPlot.join: null is a hole, up to the points beside it, whatever times other values have in between. What else is
  * missing because another value has a time there is no hole. */
@@ -8,6 +10,7 @@ const EXPAND_NULLS = 2;
 const STILL_S = 15;
 /** The part of a span without readings that is worth a line of text. */
 const UNREAD_PART = 0.02;
+const COLUMNS = /** @type {const} */ (["avg", "min", "max"]);
 
 /** For each value named `{t, min, max, avg, decimals, bucket_s, …}`, times in seconds.
  * @param {string[]} names @param {Span} range @param {number} points @param {AbortSignal} [signal]
@@ -36,14 +39,21 @@ export async function writeNote({ time, text, unit, key }) {
   await json(await fetch("/api/v1/shifts/notes", { method: "POST", headers, body }));
 }
 
-/** When the recipe of a bus was loaded, at a time, and when its run before that began; null where there is none.
- * @param {string} bus @param {number} at @returns {Promise<{ name: string, loaded: number, before: number } | null>} */
-export async function fetchRecipeRuns(bus, at) {
-  const found = await json(
-    await fetch(`/api/v1/buses/${encodeURIComponent(bus)}/recipe/runs?${new URLSearchParams({ at: iso(at) })}`),
-  );
-  if (!found?.before) return null;
-  return { name: found.name, loaded: Date.parse(found.loaded) / 1000, before: Date.parse(found.before) / 1000 };
+/** What a span is compared with: by how much that is earlier, and what it is called; `offset` null where there is none, and
+ * `name` is why. @param {View} view @param {Span} range @param {TrendWords} words @returns {Promise<Comparison | null>} */
+export async function comparison({ compare, starts, series }, [from, to], words) {
+  if (compare === "day") return { offset: from - dayBefore(from), name: words.yesterday };
+  if (compare === "shift") {
+    const [start] = shiftAt(from, starts);
+    return { offset: start - shiftAt(start - 1, starts)[0], name: words.before };
+  }
+  if (compare !== "recipe" || !series.length) return null;
+  const address = `/api/v1/buses/${encodeURIComponent(series[0].split("/")[0])}/recipe/runs`;
+  const runs = await json(await fetch(`${address}?${new URLSearchParams({ at: iso(to) })}`));
+  if (!runs?.before) return { offset: null, name: words.norun };
+  const [loaded, before] = [runs.loaded, runs.before].map((time) => Date.parse(time) / 1000);
+  const name = words.run.replace("{name}", runs.name).replace("{time}", formatTime(before, "dayClock"));
+  return { offset: loaded - before, name };
 }
 
 /** `file`: "csv" for a spreadsheet, "data" for programs, or "parquet".
@@ -62,11 +72,9 @@ export function exportAddress(names, range, file) {
  * @param {Result[]} results @param {(value: number, place: number) => number} [shift] @returns {uPlot.AlignedData} */
 export function joined(results, shift = (value) => value) {
   if (!results.length) return [[]];
-  /** @param {Result} result @param {"avg" | "min" | "max"} name @param {number} i */
-  const column = (result, name, i) => result[name].map((value) => (value === null ? null : shift(value, i)));
   const tables = results.map((result, i) => [
     result.t,
-    .../** @type {const} */ (["avg", "min", "max"]).map((name) => column(result, name, i)),
+    ...COLUMNS.map((name) => result[name].map((value) => (value === null ? null : shift(value, i)))),
   ]);
   return uPlot.join(
     /** @type {uPlot.AlignedData[]} */ (tables),
@@ -93,16 +101,13 @@ export function lastValue({ t, avg }, [from, to]) {
  * notable part of it. With no reading at all: all of it; with no value: none.
  * @param {Result[]} results @param {Span} range @param {number} now @returns {{ before: Span | null, after: Span | null }} */
 export function unread(results, [from, to], now) {
-  if (!results.length) return { before: null, after: null };
   const end = Math.min(to, now);
-  const notable = (to - from) * UNREAD_PART;
-  let [first, last] = [Number.POSITIVE_INFINITY, Number.NEGATIVE_INFINITY];
-  for (const { t, bucket_s } of results) {
-    if (!t.length) continue;
-    first = Math.min(first, t[0]);
-    last = Math.max(last, t[t.length - 1] + 2 * bucket_s + STILL_S);
-  }
+  const read = results.filter(({ t }) => t.length);
+  const first = Math.min(...read.map(({ t }) => t[0]));
+  const last = Math.max(...read.map(({ t, bucket_s }) => t[t.length - 1] + 2 * bucket_s + STILL_S));
+  if (!results.length) return { before: null, after: null };
   if (first > end) return { before: [from, end], after: null };
+  const notable = (to - from) * UNREAD_PART;
   return { before: first - from > notable ? [from, first] : null, after: end - last > notable ? [last, end] : null };
 }
 

@@ -1,27 +1,32 @@
-// What lies over and above the curves, as elements over the canvas: the lanes of alarms and notes, the events, the cursors A
-// and B, and hatching where nothing was read. Places are percent of the span.
+// What lies over and around the curves, as elements over the canvas: the lanes of alarms and notes, the events, the cursors A
+// and B, hatching where nothing was read, and the names of the lines. Places are percent of the span.
+import { lastValue } from "./trends-data.js";
+import { drawing, isBit } from "./trends-values.js";
 
 /** Height of a row of the lanes, and what is below them. */
 const [ROW, GAP] = [22, 6];
+/** Height of the name of a line, the length of the hair that leads to it, and the room that a name needs. */
+const [NAME, HAIR, LEAST_NAME] = [17, 12, 53];
+/** How much of the height of its lane a bit takes. */
+export const LANE_FILL = 0.7;
 const PRIORITIES = ["urgent", "high", "medium", "low"];
-/** Percent that a name needs at least. */
+/** Percent that the name of an alarm needs at least. */
 const LEAST_ROOM = 12;
+
+/** Where a time is in a span, in percent; what is outside is at its end. @param {Span} span */
+const percentIn = ([from, to]) => /** @param {number} t */ (t) => (100 * (Math.min(Math.max(t, from), to) - from)) / (to - from);
 
 /** Where each alarm of a span begins and ends, and whose it is: `row` counts the priorities that occur, the most important at
  * the top; `room` is how much is free after it in its row. The most important is drawn last, over others.
  * @param {Alarm[]} alarms @param {Span} span @returns {PlacedAlarm[]} */
 export function placed(alarms, [from, to]) {
-  /** @param {number} t */
-  const percent = (t) => (100 * (Math.min(Math.max(t, from), to) - from)) / (to - from);
-  const shown = alarms.map((alarm, place) => ({ ...alarm, index: place })).filter(({ t, until }) => t < to && (until ?? to) > from);
+  const percent = percentIn([from, to]);
+  const shown = alarms.map((alarm, index) => ({ ...alarm, index })).filter(({ t, until }) => t < to && (until ?? to) > from);
   const rows = PRIORITIES.filter((priority) => shown.some((alarm) => alarm.priority === priority));
-  const marks = shown.map((alarm) => ({
-    ...alarm,
-    row: rows.indexOf(alarm.priority),
-    x: percent(alarm.t),
-    end: percent(alarm.until ?? to),
-    label: [alarm.place, alarm.name].filter(Boolean).join(" · "),
-  }));
+  const marks = shown.map((alarm) => {
+    const label = [alarm.place, alarm.name].filter(Boolean).join(" · ");
+    return { ...alarm, row: rows.indexOf(alarm.priority), x: percent(alarm.t), end: percent(alarm.until ?? to), label };
+  });
   return marks
     .map((mark) => {
       const after = marks.filter((other) => other !== mark && other.row === mark.row && other.x >= mark.x);
@@ -34,12 +39,18 @@ export function placed(alarms, [from, to]) {
  * @param {Alarm[]} alarms @param {Span} span */
 export const alarmRows = (alarms, span) => Math.max(1, ...placed(alarms, span).map(({ row }) => row + 1));
 
-/** Height of the lanes above the curves, in pixels. @param {Overlay} overlay @param {Span} span */
-export const lanesHeight = ({ alarms, notes }, span) => (alarmRows(alarms, span) + (notes.length ? 1 : 0)) * ROW + GAP;
+/** What happened, as far as the view shows it. @param {Trends} trends */
+const happened = ({ view, marks, alarms, notes }) => (view.marks ? { marks, alarms, notes } : { marks: [], alarms: [], notes: [] });
 
-/** A plugin of uPlot that shows what `shown()` gives. `words`: null for the lanes of bits, which have no alarms above them.
- * @param {() => { overlay: Overlay, span: Span, unknown: Span[] }} shown @param {LaneWords | null} words @returns {uPlot.Plugin} */
-export function overlayPlugin(shown, words) {
+/** Height of the lanes above the curves, in pixels. @param {Trends} trends */
+export function lanesHeight(trends) {
+  const { alarms, notes } = happened(trends);
+  return (alarmRows(alarms, trends.range) + (notes.length ? 1 : 0)) * ROW + GAP;
+}
+
+/** A plugin of uPlot that draws it with the curves. `scaleOf` gives the scale of a curve, `room` are the pixels right of the
+ * chart. @param {Trends} trends @param {(curve: Curve) => string} scaleOf @param {number} room @returns {uPlot.Plugin} */
+export function overlayPlugin(trends, scaleOf, room) {
   const layer = document.createElement("div");
   layer.className = "trends__over";
   layer.ariaHidden = "true";
@@ -47,40 +58,38 @@ export function overlayPlugin(shown, words) {
     hooks: {
       ready: (plot) => plot.over.after(layer),
       draw: (plot) => {
-        const { overlay, span, unknown } = shown();
         layer.style.cssText = plot.over.style.cssText;
-        layer.replaceChildren(...lines(overlay, span, unknown, words?.late ?? ""), ...(words ? lanes(overlay, span, words) : []));
+        layer.replaceChildren(...lines(trends), ...lanes(trends), ...names(plot, trends, scaleOf, room));
       },
     },
   };
 }
 
-/** @param {string} className @param {Record<string, number | string>} place @param {string} [text] */
-function part(className, place, text = "") {
+/** @param {string} className @param {Record<string, number | string>} place @param {...(string | Node)} content */
+function part(className, place, ...content) {
   const element = document.createElement("span");
   element.className = className;
-  element.textContent = text;
+  element.append(...content);
   for (const [name, value] of Object.entries(place)) element.style.setProperty(name, typeof value === "number" ? `${value}%` : value);
   return element;
 }
 
-/** What is as high as the chart. @param {Overlay} overlay @param {Span} span @param {Span[]} unknown @param {string} late */
-function lines({ marks, notes, a, b }, [from, to], unknown, late) {
-  /** @param {number} t */
-  const left = (t) => (100 * (t - from)) / (to - from);
+/** What is as high as the chart. @param {Trends} trends */
+function lines(trends) {
+  const { range: [from, to], unknown, words, view: { a, b } } = trends;
+  const { marks, notes } = happened(trends);
+  const left = percentIn([from, to]);
   /** @param {Span} of */
-  const between = ([begun, end]) => {
-    const x = Math.max(0, left(begun));
-    return { left: x, width: Math.min(100, left(end)) - x };
-  };
-  /** @param {number | null} t @param {string} kind @param {string} [text] */
-  const line = (t, kind, text) => (t === null || t < from || t > to ? [] : [part(`trends__line trends__line--${kind}`, { left: left(t) }, text)]);
+  const between = ([begun, end]) => ({ left: left(begun), width: left(end) - left(begun) });
+  /** @param {number | null} t @param {string} kind */
+  const line = (t, kind, text = "") =>
+    t === null || t < from || t > to ? [] : [part(`trends__line trends__line--${kind}`, { left: left(t) }, text)];
   return [
-    ...unknown.map((of) => part("trends__unknown", between(of))),
+    ...unknown.map((span) => part("trends__unknown", between(span))),
     ...marks.flatMap(({ t, until }) => {
       if (until === null) return line(t, "event");
-      const place = between([t, until]);
-      return place.width < 0 || place.left > 100 ? [] : [part("trends__late", { ...place, direction: place.left > 50 ? "rtl" : "ltr" }, late)];
+      const direction = left(t) > 50 ? "rtl" : "ltr";
+      return until < from || t > to ? [] : [part("trends__late", { ...between([t, until]), direction }, words.late)];
     }),
     ...notes.flatMap(({ t }) => line(t, "note")),
     ...line(a, "cursor", "A"),
@@ -88,35 +97,75 @@ function lines({ marks, notes, a, b }, [from, to], unknown, late) {
   ];
 }
 
-/** @param {Overlay} overlay @param {Span} span @param {LaneWords} words */
-function lanes({ alarms, notes }, [from, to], words) {
-  const rows = alarmRows(alarms, [from, to]);
-  const height = (rows + (notes.length ? 1 : 0)) * ROW;
+/** What is above the chart: a row for each priority of alarms, and one of notes. @param {Trends} trends */
+function lanes(trends) {
+  const { range, words } = trends;
+  const { alarms, notes } = happened(trends);
+  const [rows, left] = [alarmRows(alarms, range), percentIn(range)];
   /** @param {number} row */
-  const top = (row) => `${row * ROW - height - GAP}px`;
+  const top = (row) => `${row * ROW - lanesHeight(trends)}px`;
+  /** @param {string} word @param {number} row @param {number} count */
+  const lane = (word, row, count) => part("trends__lane", { top: top(row), height: `${count * ROW}px` }, part("", {}, word));
   /** @param {HTMLElement} element @param {"alarms" | "notes"} list @param {number} index */
   const item = (element, list, index) => {
     Object.assign(element.dataset, { list, index });
     return element;
   };
-  /** @param {string} word @param {number} row @param {number} count */
-  const lane = (word, row, count) => {
-    const ground = part("trends__lane", { top: top(row), height: `${count * ROW}px` });
-    ground.append(part("", {}, word));
-    return ground;
-  };
   return [
     lane(words.alarms, 0, rows),
     ...(notes.length ? [lane(words.notes, rows, 1)] : []),
-    ...placed(alarms, [from, to]).flatMap(({ index, priority, row, x, end, room, label }) => {
-      const mark = item(part("trends__alarm alarm-priority", { left: x, top: top(row), width: end - x }), "alarms", index);
+    ...placed(alarms, range).flatMap(({ index, priority, row, x, end, room, label }) => {
+      const place = { left: x, top: top(row), width: end - x };
+      const mark = item(part("trends__alarm alarm-priority", place, part("alarm-priority__shape", {})), "alarms", index);
       mark.dataset.is = priority;
-      mark.append(part("alarm-priority__shape", {}));
       return room < LEAST_ROOM ? [mark] : [part("trends__who", { left: end, top: top(row), "max-width": room }, label), mark];
     }),
-    ...notes.flatMap(({ t }, i) => {
-      const left = (100 * (t - from)) / (to - from);
-      return t < from || t > to ? [] : [item(part("trends__flag", { left, top: top(rows) }, String(i + 1)), "notes", i)];
+    ...notes.flatMap(({ t }, i) =>
+      t < range[0] || t > range[1]
+        ? []
+        : [item(part("trends__flag", { left: left(t), top: top(rows) }, String(i + 1)), "notes", i)],
+    ),
+  ];
+}
+
+/** The names of curves right of the chart, each tied to the height at which its curve ends by a hair, which is no part of the
+ * curve; and those of bits left of their lanes.
+ * @param {uPlot} plot @param {Trends} trends @param {(curve: Curve) => string} scaleOf @param {number} room */
+function names(plot, { curves, range, dimmed }, scaleOf, room) {
+  const ends = curves.flatMap((curve) => {
+    const value = isBit(curve) ? null : lastValue(curve, range);
+    return value === null ? [] : [{ ...curve, wanted: plot.valToPos(value, scaleOf(curve)) }];
+  });
+  const places = apart(ends.map(({ wanted }) => wanted), NAME, [NAME / 2, plot.over.clientHeight]);
+  const hairs = ends.map(({ wanted }, i) => `M0 ${wanted}L${HAIR} ${places[i]}`);
+  return [
+    drawing("trends__hairs", hairs.join("")),
+    ...ends.map(({ place, label, key }, i) => {
+      const name = part("trends__name", { top: `${places[i]}px`, "max-width": `${room - HAIR - 4}px` }, `${place + 1}`);
+      if (room > LEAST_NAME) name.append(` ${label}`);
+      name.classList.toggle("trends__name--dimmed", dimmed.has(key));
+      return name;
+    }),
+    ...curves.filter(isBit).map(({ place, name }, i, { length }) => {
+      const middle = plot.valToPos(length - 1 - i + LANE_FILL / 2, "lane");
+      return part("trends__bit", { top: `${middle}px`, "max-width": `${plot.over.offsetLeft - 8}px` }, `${place + 1} ${name}`);
     }),
   ];
+}
+
+/** Where labels of a height stand that want to be at `wanted`, in order of these, within a span: midway between where those
+ * above push them and where those below do, so none overlaps another as long as there is room.
+ * @param {number[]} wanted @param {number} height @param {Span} span */
+export function apart(wanted, height, [top, bottom]) {
+  const order = wanted.map((_, place) => place).sort((a, b) => wanted[a] - wanted[b] || a - b);
+  const [down, up] = [[...wanted], [...wanted]];
+  for (let i = 1; i < order.length; i++) {
+    const [above, below] = [order.length - i - 1, order.length - i];
+    down[order[i]] = Math.max(down[order[i]], down[order[i - 1]] + height);
+    up[order[above]] = Math.min(up[order[above]], up[order[below]] - height);
+  }
+  return wanted.map((_, place) => {
+    const rank = order.indexOf(place);
+    return Math.max(top + rank * height, Math.min((down[place] + up[place]) / 2, bottom - (order.length - 1 - rank) * height));
+  });
 }

@@ -1,283 +1,214 @@
-// The picture: curves with their bands above, bits as lanes below, one time axis for both.
+// The picture: curves with their bands, below them bits as lanes, one time axis for both.
 import { zone } from "./clock.js";
-import { joined, lastValue } from "./trends-data.js";
-import { drawLabels } from "./trends-labels.js";
-import { colour, css, DIMMED, forgetColors, isBit, look, PAST } from "./trends-look.js";
-import { lanesHeight, overlayPlugin } from "./trends-overlay.js";
+import { joined } from "./trends-data.js";
+import { LANE_FILL, lanesHeight, overlayPlugin } from "./trends-overlay.js";
 import { axisLabels, axisNumbers } from "./trends-time.js";
+import { isBit, look } from "./trends-values.js";
 
-const LANE = 30;
-const LANE_FILL = 0.7;
-/** Below the lanes: their time axis. */
-const FOOT = 60;
-const MIN_HEIGHT = 160;
-/** Widths left of the curves, so that the lanes below stand under them, and right of them for their names. */
-const GUTTER = 84;
-const GUTTER_WIDE = 168;
-const GUTTER_NARROW = 52;
-const NAMES = 132;
-const NAMES_NARROW = 24;
-const LABEL = 20;
+/** Heights of a lane, of what is below the lowest of them, of the time axis, and the least that curves have. */
+const [LANE, LANES_END, FOOT, LEAST] = [30, 6, 50, 110];
+/** Widths left of the chart: for numbers, for names of lanes, on a phone; right of it for names of lines; of a unit. */
+const [GUTTER, GUTTER_WIDE, GUTTER_NARROW, NAMES, NAMES_NARROW, LABEL] = [92, 168, 52, 132, 24, 20];
+/** Up to this width it is on a phone. */
 const NARROW = 700;
-/** How much of a curve's color its band has, percent. */
-const BAND = 20;
-const LETTER = 8;
-const SYNC = "trends";
+/** How much of a curve's color its band has, percent, and how much is left of a dimmed line. */
+const [BAND, DIMMED] = [20, 0.18];
+/** A line of an earlier time is narrow, dotted and lighter. */
+const PAST = { dash: [1, 3], width: 1.5, percent: 70 };
 const INVISIBLE = "rgb(0 0 0 / 0)";
+/** The least width of a span that is selected, in pixels. */
+const SELECTED = 8;
 
 export class Picture {
-  /** `on`: cursor(seconds or null), selected(from, to). `overlay()`: what is drawn over the curves.
-   * @param {HTMLElement} plot @param {HTMLElement} lanes @param {PictureEvents} on @param {() => Overlay} overlay
-   * @param {LaneWords} words */
-  constructor(plot, lanes, on, overlay, words) {
-    this.elements = { plot, lanes };
+  /** `on`: cursor(seconds or null), selected(from, to).
+   * @param {HTMLElement} element @param {Trends} trends @param {PictureEvents} on */
+  constructor(element, trends, on) {
+    this.element = element;
+    this.trends = trends;
     this.on = on;
-    this.overlay = overlay;
-    this.words = words;
-    /** @type {Span} */
-    this.range = [0, 1];
-    /** @type {Span[]} */
-    this.unknown = [];
     this.shape = "";
-    this.above = 0;
+    /** Three series each: average, least and greatest. @type {Curve[]} */
+    this.lines = [];
     /** @type {Curve[]} */
-    this.numbers = [];
-    /** The curves of each plot, three series each. @type {Curve[][]} */
-    this.drawn = [];
+    this.bits = [];
+    /** The lowest number of each scale that is above the lanes. @type {Record<string, number>} */
+    this.floors = {};
     /** @type {uPlot | null} */
-    this.curves = null;
-    /** @type {uPlot | null} */
-    this.lanes = null;
-    new ResizeObserver(() => this.resize()).observe(plot);
+    this.plot = null;
+    new ResizeObserver(() => this.resize()).observe(element);
   }
 
-  /** New results over a span. `bound`: which scale each curve has, "shared" or "own"; `chosen`: whose axis is shown;
-   * `unknown`: where nothing was read.
-   * @param {Curve[]} results @param {Span} range @param {Span[]} unknown @param {string} bound @param {number} chosen */
-  draw(results, range, unknown, bound, chosen) {
-    this.numbers = results.filter((result) => !isBit(result));
-    const bits = results.filter((result) => isBit(result) && !result.past);
-    const shape = JSON.stringify([
-      results.map((a) => [a.bus, a.unit, a.value, a.measure, a.name, a.past]),
-      bound,
-      chosen,
-      this.isNarrow(),
-    ]);
-    this.range = range;
-    this.unknown = unknown;
-    if (shape !== this.shape) this.build(bits, bound, chosen);
+  /** Draw what is shown now. */
+  draw() {
+    const { curves, past, view, chosen, dimmed } = this.trends;
+    this.lines = [...past, ...curves];
+    this.bits = curves.filter(isBit);
+    const isNarrow = this.element.clientWidth <= NARROW;
+    const lines = this.lines.map(({ key, measure, name, past }) => [key, measure, name, past]);
+    const shape = JSON.stringify([lines, view.scale, chosen, isNarrow]);
+    if (shape !== this.shape) this.build(isNarrow);
     this.shape = shape;
-    /** @param {number} value @param {number} i */
-    const lift = (value, i) => bits.length - 1 - i + value * LANE_FILL;
-    this.drawn = [this.numbers, bits];
-    this.dim();
-    this.curves?.setData(joined(this.numbers), false);
-    this.lanes?.setData(joined(bits, lift), false);
-    this.move(range);
-  }
-
-  /** Dim the lines of the curves that are to be dimmed. */
-  dim() {
-    [this.curves, this.lanes].forEach((plot, which) => {
-      plot?.series.forEach((series, i) => {
-        if (i) series.alpha = this.drawn[which][Math.floor((i - 1) / 3)]?.dimmed ? DIMMED : 1;
-      });
+    this.plot?.series.forEach((series, i) => {
+      if (i) series.alpha = dimmed.has(this.lines[Math.floor((i - 1) / 3)].key) ? DIMMED : 1;
     });
+    /** @param {number} value @param {number} i */
+    const lifted = (value, i) => {
+      const lane = this.bits.indexOf(this.lines[i]);
+      return lane < 0 ? value : this.bits.length - 1 - lane + value * LANE_FILL;
+    };
+    this.plot?.setData(joined(this.lines, lifted), false);
+    this.move();
+    this.resize();
   }
 
-  isNarrow() {
-    return this.elements.plot.clientWidth <= NARROW;
+  /** The span has changed, of the same data. */
+  move() {
+    const [min, max] = this.trends.range;
+    this.plot?.setScale("x", { min, max });
   }
 
-  /** Another span of the same data.
-   * @param {Span} range */
-  move(range) {
-    this.range = range;
-    const [min, max] = range;
-    for (const plot of [this.curves, this.lanes]) plot?.setScale("x", { min, max });
-  }
-
-  /** The overlay has changed; the lanes above them may have more rows. */
-  redraw() {
-    if (this.above !== lanesHeight(this.overlay(), this.range)) this.resize();
-    for (const plot of [this.curves, this.lanes]) plot?.redraw(false);
-  }
-
-  /** New colors, since the theme changed. */
-  forget() {
-    forgetColors();
+  /** The colors have changed with the theme. */
+  recolour() {
     this.shape = "";
+    this.draw();
   }
 
-  /** @param {Curve[]} bits @param {string} bound @param {number} chosen */
-  build(bits, bound, chosen) {
-    const { numbers } = this;
-    this.curves?.destroy();
-    this.lanes?.destroy();
-    /** @param {Curve} result */
-    const scaleOf = ({ value, place }) =>
-      bound === "own" ? `y${place}` : value === "analog" || value === "draw" ? value : "speed";
-    const shown = bound === "own" ? scaleOf(numbers.find(({ place }) => place === chosen) ?? numbers[0] ?? {}) : null;
-    const scales = [...new Set(numbers.map(scaleOf))].filter((scale) => shown === null || scale === shown);
-    const narrow = this.isNarrow();
-    const gutter = narrow ? GUTTER_NARROW : bits.length ? GUTTER_WIDE : GUTTER;
-    const axes = scales.map((scale, i) => ({
-      ...axis(),
-      values: axisNumbers,
+  /** @param {boolean} isNarrow */
+  build(isNarrow) {
+    const { element, lines, bits, trends } = this;
+    this.plot?.destroy();
+    const numbers = lines.filter((line) => !isBit(line));
+    const isOwn = trends.view.scale === "own";
+    /** @param {Curve} line */
+    const scaleOf = (line) => {
+      if (isBit(line)) return "lane";
+      return isOwn ? line.key : line.value === "analog" || line.value === "draw" ? line.value : "speed";
+    };
+    const scales = [...new Set(numbers.map(scaleOf))];
+    const shown = isOwn ? scales.slice(Math.max(0, scales.indexOf(trends.chosen))).slice(0, 1) : scales;
+    const gutter = isNarrow ? GUTTER_NARROW : bits.length ? GUTTER_WIDE : GUTTER;
+    const room = isNarrow || !numbers.length ? NAMES_NARROW : NAMES;
+    const [line, font] = [{ stroke: colour("--line"), width: 1 }, `14px ${getComputedStyle(element).fontFamily}`];
+    const axis = { stroke: colour("--quiet"), font, grid: line, ticks: line };
+    const axes = shown.map((scale, i) => ({
+      ...axis,
       scale,
       side: 3,
-      size: (i ? GUTTER_NARROW : gutter) - (narrow ? 0 : LABEL),
-      labelSize: narrow ? 0 : LABEL,
-      label: (!narrow && numbers.find((result) => scaleOf(result) === scale)?.measure) || " ",
-      grid: { ...axis().grid, show: i === 0 },
+      size: isNarrow ? GUTTER_NARROW : (i ? GUTTER : gutter) - LABEL,
+      labelSize: isNarrow ? 0 : LABEL,
+      label: (!isNarrow && numbers.find((line) => scaleOf(line) === scale)?.measure) || " ",
+      grid: { ...line, show: i === 0 },
+      values: axisNumbers,
+      splits: this.splits(scale),
     }));
-    const left = gutter + Math.max(0, axes.length - 1) * GUTTER_NARROW;
-    const right = numbers.length ? (narrow ? NAMES_NARROW : NAMES) : NAMES_NARROW;
-    this.elements.plot.classList.toggle("trends__plot--none", !numbers.length);
-    const margin = { left: axes.length ? 0 : left, right };
-    this.curves = this.plot(this.elements.plot, numbers, scaleOf, axes, { margin, barefoot: bits.length > 0 });
-    if (!bits.length) {
-      this.lanes = null;
-      return;
-    }
-    const laneAxis = {
-      ...axis(),
-      scale: "lane",
-      side: 3,
-      size: left,
-      splits: () => bits.map((_, i) => i + LANE_FILL / 2),
-      grid: { show: false },
-      ticks: { show: false },
-      values: () =>
-        bits.map((_, i) => {
-          const { place, name } = bits[bits.length - 1 - i];
-          return shortened(`${place + 1} ${name}`, left);
-        }),
-    };
-    const beside = { left: 0, right };
-    this.lanes = this.plot(this.elements.lanes, bits, () => "lane", [laneAxis], { margin: beside, lanes: bits.length });
-  }
-
-  /** @param {HTMLElement} element @param {Curve[]} results @param {(result: Curve) => string} scaleOf
-   * @param {uPlot.Axis[]} axes @param {PlotShape} shape @returns {uPlot} */
-  plot(element, results, scaleOf, axes, { margin, barefoot = false, lanes = 0 }) {
-    /** @type {uPlot.Series[]} */
-    const series = [{}];
-    /** @type {uPlot.Band[]} */
-    const bands = [];
-    for (const result of results) {
-      if (!result.past)
-        bands.push({
-          series: [series.length + 2, series.length + 1],
-          fill: colour(look(result.place).name, BAND),
-        });
-      series.push(...strokes(result, scaleOf(result), lanes > 0));
-    }
-    const range = () => this.range;
-    const shown = () => ({ overlay: this.overlay(), span: this.range, unknown: results.length ? this.unknown : [] });
-    const above = () => {
-      this.above = lanesHeight(this.overlay(), this.range);
-      return this.above;
-    };
+    element.classList.toggle("trends__plot--none", !numbers.length);
     /** @type {uPlot.Options} */
     const options = {
       width: element.clientWidth || 600,
-      height: this.height(lanes),
+      height: this.height(),
       scales: {
-        x: { time: true, auto: false, range },
-        ...(lanes ? { lane: { range: () => [-0.2, lanes] } } : {}),
+        x: { time: true, auto: false, range: () => trends.range },
+        lane: { range: () => [-LANES_END / LANE, (this.chartHeight() - LANES_END) / LANE] },
+        ...Object.fromEntries(scales.map((scale) => [scale, { range: this.aboveLanes.bind(this) }])),
       },
-      axes: [
-        barefoot
-          ? { ...axis(), values: (_, splits) => splits.map(() => ""), size: 0, ticks: { show: false } }
-          : { ...axis(), values: axisLabels, space: 100, size: 50 },
-        ...axes,
-      ],
-      padding: [lanes ? 12 : above, margin.right, barefoot ? 8 : 0, margin.left],
-      series,
-      bands,
+      axes: [{ ...axis, values: axisLabels, space: 100, size: FOOT }, ...axes],
+      padding: [() => lanesHeight(trends), room, 0, axes.length ? 0 : gutter],
+      series: [{}, ...lines.flatMap((line) => strokes(line, scaleOf(line)))],
+      bands: lines.flatMap(({ place, past }, i) =>
+        past ? [] : [{ series: [3 * i + 3, 3 * i + 2], fill: colour(look(place).name, BAND) }],
+      ),
       legend: { show: false },
       cursor: {
-        sync: { key: SYNC },
         y: false,
         points: { size: 7 },
-        // A press with Shift selects; any other pulls the picture (trends-gestures.js), and its click is no end of a drag.
+        // A press with Shift selects; any other pulls the picture (trends-controls.js), and its click is no end of a drag.
         bind: { mousedown: (_plot, _target, select) => (event) => (event.shiftKey ? select(event) : unscrolled(event)) },
         drag: { x: true, y: false, setScale: false, click: () => {} },
       },
       hooks: {
-        setCursor: [(plot) => this.on.cursor(cursorAt(plot))],
+        setCursor: [(plot) => this.moved(plot)],
         setSelect: [(plot) => this.selected(plot)],
-        draw: [(plot) => !lanes && drawLabels(plot, this.ends(scaleOf), margin.right)],
       },
-      plugins: [overlayPlugin(shown, lanes ? null : this.words)],
+      plugins: [overlayPlugin(trends, scaleOf, room)],
       tzDate: (seconds) => uPlot.tzDate(new Date(seconds * 1000), zone),
     };
-    return new uPlot(options, [[]], element);
+    this.plot = new uPlot(options, [[]], element);
   }
 
-  /** @param {(result: Curve) => string} scaleOf @returns {LineEnd[]} */
-  ends(scaleOf) {
-    return this.numbers.flatMap((result) => {
-      const value = result.past ? null : lastValue(result, this.range);
-      return value === null ? [] : [{ ...result, value, scale: scaleOf(result) }];
-    });
+  /** Where a scale has lines: as uPlot would, but none in the lanes. @param {string} scale @returns {uPlot.Axis.Splits} */
+  splits(scale) {
+    return (_plot, _axis, _least, most, step) => {
+      const first = Math.ceil(this.floors[scale] / step);
+      return Array.from({ length: Math.floor(most / step + 1e-9) - first + 1 }, (_, i) => (first + i) * step);
+    };
   }
 
-  /** @param {number} lanes */
-  height(lanes) {
-    if (lanes) return lanes * LANE + FOOT;
-    if (!this.numbers.length) return LANE + lanesHeight(this.overlay(), this.range);
-    return Math.max(MIN_HEIGHT, this.elements.plot.clientHeight);
+  /** The range of a scale as uPlot would choose it, and below it room for the lanes.
+   * @param {uPlot} _plot @param {number | null} least @param {number | null} most @param {string} scale @returns {uPlot.Range.MinMax} */
+  aboveLanes(_plot, least, most, scale) {
+    if (least === null || most === null) return [null, null];
+    const [low, high] = /** @type {[number, number]} */ (uPlot.rangeNum(least, most, 0.1, true));
+    this.floors[scale] = low;
+    const lanes = this.lanesBelow();
+    return [low - ((high - low) * lanes) / (this.chartHeight() - lanes), high];
   }
 
+  lanesBelow() {
+    return this.bits.length ? this.bits.length * LANE + LANES_END : 0;
+  }
+
+  chartHeight() {
+    return this.height() - lanesHeight(this.trends) - FOOT;
+  }
+
+  height() {
+    const around = lanesHeight(this.trends) + this.lanesBelow() + FOOT;
+    const hasCurves = this.lines.length > this.bits.length;
+    return hasCurves ? Math.max(around + LEAST, this.element.clientHeight) : around + (this.bits.length ? 0 : LANE);
+  }
+
+  /** Take the room that there is, and draw again what lies over and above the curves: its lanes may have more rows. */
   resize() {
-    const width = this.elements.plot.clientWidth;
-    if (!width || !this.curves) return;
-    this.curves.setSize({ width, height: this.height(0) });
-    if (this.lanes && this.lanes.width !== width) this.lanes.setSize({ width, height: this.lanes.height });
+    const width = this.element.clientWidth;
+    if (width) this.plot?.setSize({ width, height: this.height() });
+  }
+
+  /** @param {uPlot} plot */
+  moved(plot) {
+    const { left = -1 } = plot.cursor;
+    this.on.cursor(left < 0 ? null : plot.posToVal(left, "x"));
   }
 
   /** @param {uPlot} plot */
   selected(plot) {
     const { left, width } = plot.select;
-    if (width < 8) return;
-    const [from, to] = [plot.posToVal(left, "x"), plot.posToVal(left + width, "x")];
+    if (width < SELECTED) return;
+    const [from, to] = [left, left + width].map((at) => plot.posToVal(at, "x"));
     plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
     this.on.selected(from, to);
   }
 
-  /** The time at a place of the screen, seconds.
-   * @param {number} clientX */
+  /** The time at a place of the screen, seconds. @param {number} clientX */
   timeAt(clientX) {
-    if (!this.curves) return (this.range[0] + this.range[1]) / 2;
-    const box = this.curves.over.getBoundingClientRect();
-    return this.curves.posToVal(clientX - box.left, "x");
+    const [from, to] = this.trends.range;
+    return this.plot?.posToVal(clientX - this.plot.over.getBoundingClientRect().left, "x") ?? (from + to) / 2;
   }
 
-  /** Put the cursor on a time.
-   * @param {number} at */
+  /** Put the cursor on a time. @param {number} at */
   point(at) {
-    this.curves?.setCursor({ left: this.curves.valToPos(at, "x"), top: 10 });
+    this.plot?.setCursor({ left: this.plot.valToPos(at, "x"), top: 10 });
   }
 }
 
-/** The line of a result, and the edges of its band.
- * @param {Curve} result @param {string} scale @param {boolean} isLane @returns {uPlot.Series[]} */
-function strokes({ place, value, past }, scale, isLane) {
+/** The line of a result, and the edges of its band. @param {Curve} line @param {string} scale @returns {uPlot.Series[]} */
+function strokes({ place, value, past }, scale) {
   const { name, dash } = look(place, value);
+  const isLane = scale === "lane";
   const paths = isLane ? uPlot.paths.stepped?.({ align: 1 }) : undefined;
-  const common = { scale, spanGaps: false, paths };
-  const edge = { ...common, stroke: INVISIBLE, width: 1, points: { show: false } };
-  const line = past
-    ? { stroke: colour(name, PAST.percent), dash: PAST.dash, width: PAST.width, points: { show: false } }
-    : {
-        stroke: colour(name),
-        dash: isLane ? [] : dash,
-        width: 2,
-        points: isLane ? { show: false } : { size: 5, show: true, filter: dots },
-      };
-  return [{ ...common, ...line }, edge, { ...edge }];
+  const common = { scale, spanGaps: false, paths, width: 2, stroke: INVISIBLE, points: { show: false } };
+  const points = isLane || past ? common.points : { size: 5, show: true, filter: dots };
+  const drawn = past ? { ...PAST, stroke: colour(name, PAST.percent) } : { stroke: colour(name), dash: isLane ? [] : dash };
+  return [{ ...common, points, ...drawn }, { ...common }, { ...common }];
 }
 
 /** @type {uPlot.Series.Points.Filter} */
@@ -292,31 +223,18 @@ export function alone(column) {
   return known.filter((_, i) => !isHole(i) && isHole(i - 1) && isHole(i + 1)).map(({ place }) => place);
 }
 
-/** @param {string} name @param {number} width */
-function shortened(name, width) {
-  const most = Math.floor(width / LETTER) - 1;
-  return name.length > most ? `${name.slice(0, most - 1)}…` : name;
-}
-
 /** The middle button pulls as the left one does, and scrolls no page. @param {MouseEvent} event */
 function unscrolled(event) {
   if (event.button === 1) event.preventDefault();
   return null;
 }
 
-/** The time at the cursor, null while it is not over the plot. @param {uPlot} plot */
-function cursorAt(plot) {
-  const { left = -1 } = plot.cursor;
-  return left >= 0 ? plot.posToVal(left, "x") : null;
-}
-
-/** @returns {uPlot.Axis} */
-function axis() {
-  const ink = colour("--quiet");
-  return {
-    stroke: ink,
-    font: `14px ${css("--family")}`,
-    grid: { stroke: colour("--line"), width: 1 },
-    ticks: { stroke: colour("--line"), width: 1 },
-  };
+/** A color that light-dark() gives, as the canvas understands it; `percent` of it, the rest shines through.
+ * @param {string} name */
+function colour(name, percent = 100) {
+  const probe = document.body.appendChild(document.createElement("i"));
+  probe.style.color = `color-mix(in srgb, var(${name}) ${percent}%, transparent)`;
+  const found = getComputedStyle(probe).color;
+  probe.remove();
+  return found;
 }

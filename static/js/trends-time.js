@@ -1,27 +1,15 @@
-// Counting with the wall clock of the site, and texts of times and spans at axes.
+// Counting with the wall clock of the site, and the texts of times, lengths and numbers.
 import { zone } from "./clock.js";
 import { formatTime, language } from "./site-time.js";
 
-const WALL = new Intl.DateTimeFormat("en", {
-  timeZone: zone,
-  hourCycle: "h23",
-  year: "numeric",
-  month: "numeric",
-  day: "numeric",
-  hour: "numeric",
-  minute: "numeric",
-  second: "numeric",
-});
+/** Swedish dates are those of ISO 8601. */
+const WALL = new Intl.DateTimeFormat("sv", { timeZone: zone, dateStyle: "short", timeStyle: "medium" });
+const MAX_DIGITS = 3;
 export const DAY = 86400;
 
 /** The wall clock at the site, as if it were UTC: seconds that can be counted with.
  * @param {number} seconds */
-function wall(seconds) {
-  const parts = Object.fromEntries(
-    WALL.formatToParts(seconds * 1000).map(({ type, value }) => [type, Number(value)]),
-  );
-  return Date.UTC(parts.year, parts.month - 1, parts.day, parts.hour, parts.minute, parts.second) / 1000;
-}
+const wall = (seconds) => Date.parse(`${WALL.format(seconds * 1000).replace(" ", "T")}Z`) / 1000;
 
 /** The instant at which the wall clock at the site shows this; near a change of summer time, one of the two.
  * @param {number} wallSeconds */
@@ -63,7 +51,7 @@ const TYPED = /^(?:(\d{4})-(\d\d?)-(\d\d?)|(\d\d?)\. ?(\d\d?)\. ?(\d{4}))[T,]? *
 /** As a field takes it: 21.11.2026 06:00:00 where dates have dots, else ISO 8601, in which day and month are not mistaken.
  * @param {number} seconds */
 export function toField(seconds) {
-  const [day, clock] = new Date(Math.floor(wall(seconds)) * 1000).toISOString().slice(0, 19).split("T");
+  const [day, clock] = WALL.format(seconds * 1000).split(" ");
   const hasDots = formatTime(seconds, "date").includes(".");
   return `${hasDots ? day.split("-").reverse().join(".") : day} ${clock}`;
 }
@@ -91,21 +79,28 @@ export function axisLabels(_plot, splits, _axis, _space, increment) {
   });
 }
 
-/** The numbers at an axis in the language of the page, not of the browser, each with the digits of its step.
- * @param {uPlot} _plot @param {number[]} splits @param {number} _axis @param {number} _space @param {number} step */
-export function axisNumbers(_plot, splits, _axis, _space, step) {
-  const digits = (String(step).split(".")[1] ?? "").length;
-  const shape = { minimumFractionDigits: digits, maximumFractionDigits: digits, useGrouping: false };
-  const number = new Intl.NumberFormat(language, shape);
-  return splits.map((split) => number.format(split));
+/** @type {Map<number | null, Intl.NumberFormat>} */
+const formats = new Map();
+
+/** A number in the language of the page, not of the browser; `decimals` null: as many as it has, up to three.
+ * @param {number} value @param {number | null} decimals */
+export function number(value, decimals) {
+  const [minimumFractionDigits, maximumFractionDigits] = [decimals ?? 0, decimals ?? MAX_DIGITS];
+  const shape = { minimumFractionDigits, maximumFractionDigits, useGrouping: false };
+  const format = formats.get(decimals) ?? new Intl.NumberFormat(language, shape);
+  formats.set(decimals, format);
+  return format.format(value);
 }
+
+/** The numbers at an axis, each with the digits of its step.
+ * @param {uPlot} _plot @param {number[]} splits @param {number} _axis @param {number} _space @param {number} step */
+export const axisNumbers = (_plot, splits, _axis, _space, step) =>
+  splits.map((split) => number(split, (String(step).split(".")[1] ?? "").length));
 
 /** 0.2 s, 30 s, 5 min, 8 h, 3 d.
  * @param {number} seconds */
 export function length(seconds) {
-  const number = new Intl.NumberFormat(language, { maximumFractionDigits: seconds < 10 ? 3 : 1 });
-  if (seconds < 120) return `${number.format(seconds)} s`;
-  if (seconds < 7200) return `${number.format(seconds / 60)} min`;
-  if (seconds < 2 * DAY) return `${number.format(seconds / 3600)} h`;
-  return `${number.format(seconds / DAY)} d`;
+  if (seconds < 10) return `${number(seconds, null)} s`;
+  const [unit, name] = seconds < 120 ? [1, "s"] : seconds < 7200 ? [60, "min"] : seconds < 2 * DAY ? [3600, "h"] : [DAY, "d"];
+  return `${number(Math.round((10 * seconds) / Number(unit)) / 10, null)} ${name}`;
 }

@@ -46,7 +46,7 @@ COLUMNS = """canvas => {
 }"""
 STROKES = """canvas => {
   const box = canvas.getBoundingClientRect();
-  const over = document.querySelector("#trend-lanes .u-over").getBoundingClientRect();
+  const over = document.querySelector("#trend-plot .u-over").getBoundingClientRect();
   const scale = canvas.width / box.width;
   const context = canvas.getContext("2d");
   const [top, height] = [Math.round((over.top - box.top) * scale), Math.round(over.height * scale)];
@@ -155,7 +155,7 @@ def test_a_link_reopens_the_same_view(browser_page: OpensPages) -> None:
     page.locator('[data-move="in"]').click()
     page.locator("#trend-marks").uncheck()
     expect(page.locator("#trend-values tr")).to_have_count(2)
-    expect(page.locator("#trend-lanes canvas")).to_have_count(1)
+    expect(page.locator("#trend-plot .trends__bit")).to_have_count(1)
     again = opened(browser_page("viewer", viewport=OFFICE), page.evaluate("location.search"))
     expect(again.locator("#trend-values tr")).to_have_count(2)
     expect(again.locator("#trend-scale")).to_have_value("own")
@@ -263,7 +263,7 @@ def test_a_bit_is_a_lane_high_while_it_is_on_and_empty_in_gaps(
     page.route("**/api/v1/history/series*", lambda route: route.fulfill(json=body))
     moments = [datetime.fromtimestamp(at, UTC).isoformat().replace("+00:00", "Z") for at in (t[0], t[-1])]
     opened(page, f"?s=line/1/run&s=line/1/remote&from={moments[0]}&to={moments[1]}&marks=0")
-    strokes = page.locator("#trend-lanes canvas").evaluate(STROKES)
+    strokes = page.locator("#trend-plot canvas").evaluate(STROKES)
     on, off, other = (2 - 1.7) / 2.2, (2 - 1.0) / 2.2, (2 - 0.7) / 2.2
     assert strokes["11"] == pytest.approx([on, other], abs=0.03)
     assert strokes["51"] == pytest.approx([other], abs=0.03)

@@ -1,10 +1,10 @@
-// Where alarms are drawn over the curves of a chart.
+// Where alarms are drawn over the curves of a chart, and where the names of these stand.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { openPage } from "./page.js";
 
 openPage();
-const { alarmRows, placed } = await import("../../static/js/trends-overlay.js");
+const { alarmRows, apart, placed } = await import("../../static/js/trends-overlay.js");
 
 const alarm = (priority, t, until) => ({ priority, t, until });
 const drawn = (alarms) => placed(alarms, [100, 200]).map(({ priority, row, x, end, room }) => [priority, row, x, end, room]);
@@ -28,4 +28,12 @@ test("the rows are those of the priorities that occur, and the most important is
 test("their lane has a row before the first alarm came", () => {
   assert.equal(alarmRows([], [100, 200]), 1);
   assert.equal(alarmRows([alarm("urgent", 110, 120), alarm("low", 110, null)], [100, 200]), 2);
+});
+
+test("names stand at the ends of their lines, apart where they would touch, and in their span", () => {
+  assert.deepEqual(apart([50, 10], 15, [0, 100]), [50, 10]);
+  assert.deepEqual(apart([50, 52, 48], 15, [0, 100]), [50, 65, 35]);
+  assert.deepEqual(apart([99, 98], 15, [0, 100]), [100, 85]);
+  assert.deepEqual(apart([2, 1, 80], 15, [0, 100]), [15, 0, 80]);
+  assert.deepEqual(apart([], 15, [0, 100]), []);
 });

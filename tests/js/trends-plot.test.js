@@ -1,13 +1,12 @@
-// How the lines of a chart differ, and where their names stand.
+// How the lines of a chart differ, and what of them is a dot.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { openPage } from "./page.js";
 
 openPage();
-const { isBit, look } = await import("../../static/js/trends-look.js");
+const { isBit, look } = await import("../../static/js/trends-values.js");
 const { alone } = await import("../../static/js/trends-plot.js");
 const { lastValue } = await import("../../static/js/trends-data.js");
-const { apart } = await import("../../static/js/trends-labels.js");
 
 test("32 lines differ in hue or dash, eight in both", () => {
   const looks = Array.from({ length: 32 }, (_, place) => look(place));
@@ -26,14 +25,6 @@ test("what is commanded is dashed in every place, and differs from its neighbors
 test("speeds, draw and the analog input are curves, everything else is a bit", () => {
   const values = ["commanded", "actual", "analog", "draw", "run", "estop"];
   assert.deepEqual(values.map((value) => isBit({ value })), [false, false, false, false, true, true]);
-});
-
-test("names stand at the ends of their lines, apart where they would touch, and in their span", () => {
-  assert.deepEqual(apart([50, 10], 15, [0, 100]), [50, 10]);
-  assert.deepEqual(apart([50, 52, 48], 15, [0, 100]), [50, 65, 35]);
-  assert.deepEqual(apart([99, 98], 15, [0, 100]), [100, 85]);
-  assert.deepEqual(apart([2, 1, 80], 15, [0, 100]), [15, 0, 80]);
-  assert.deepEqual(apart([], 15, [0, 100]), []);
 });
 
 test("a line ends at its last value within the span", () => {

@@ -1,4 +1,4 @@
-// The address of the trends page has what is shown, and reopens it.
+// The address of the trends page has what is shown, and reopens it; and what each of its values is called.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { at, openPage } from "./page.js";
@@ -6,7 +6,7 @@ import { at, openPage } from "./page.js";
 const NOW = at("2026-11-20T15:30:00");
 openPage({ zone: "UTC", time: NOW });
 const { iso } = await import("../../static/js/history-requests.js");
-const { MAX_VALUES, View } = await import("../../static/js/trends-view.js");
+const { Catalogue, MAX_VALUES, View } = await import("../../static/js/trends-view.js");
 
 const KNOWN = Array.from({ length: 40 }, (_, i) => `line/${i + 1}/actual`);
 const catalogue = { has: (name) => KNOWN.includes(name), first: (count) => KNOWN.slice(0, count) };
@@ -140,4 +140,43 @@ test("each change reports what it changed", () => {
   view.change({ a: NOW });
   view.show(NOW - 10, NOW);
   assert.deepEqual(changes, [["a"], ["from", "to", "preset"]]);
+});
+
+const UNITS = [
+  { key: "line/1", name: "Unwind", labels: { "output.1": "heater" } },
+  { key: "dry/end/2", name: "Dryer", labels: {} },
+];
+const named = new Catalogue(UNITS, { actual: "actual", "output.1": "output 1" });
+
+test("a value is known if its unit and its name are", () => {
+  assert.ok(named.has("line/1/actual"));
+  assert.ok(!named.has("line/9/actual"));
+  assert.ok(!named.has("line/1/speed"));
+});
+
+test("a value is called as it is wired, else by its name", () => {
+  assert.equal(named.title("line/1/output.1"), "Unwind · heater");
+  assert.equal(named.title("dry/end/2/output.1"), "Dryer · output 1");
+});
+
+test("the first values are the actual speeds of the first units", () => {
+  assert.deepEqual(named.first(1), ["line/1/actual"]);
+  assert.deepEqual(named.first(9), ["line/1/actual", "dry/end/2/actual"]);
+});
+
+test("a place is a unit by its name, or a bus", () => {
+  assert.deepEqual([named.place("line", 1), named.place("line", 9), named.place("line", null)], [
+    "Unwind",
+    "line/9",
+    "line",
+  ]);
+});
+
+test("what happens at the units beside a unit on its line is requested too", () => {
+  const line = new Catalogue(
+    ["a/1", "a/2", "a/3", "b/1"].map((key) => ({ key, name: key, labels: {} })),
+    { actual: "actual" },
+  );
+  assert.deepEqual(line.withNeighbors(["a/1/actual"]), ["a/1/actual", "a/2/actual"]);
+  assert.deepEqual(line.withNeighbors(["a/3/actual"]), ["a/3/actual", "a/2/actual"], "not the next line");
 });
