@@ -75,7 +75,7 @@ def test_the_wire_is_never_idle() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         number, began = line.line.record.count, line.loop.time()
-        await asyncio.sleep(10)
+        await asyncio.sleep(3)
         entries = line.line.record.since(number, WireEventKind.CAME, WireEventKind.SENT)
         used = sum(len(entry.data) for entry in entries) * 10 / 9600
         assert used / (line.loop.time() - began) > 0.995
@@ -83,22 +83,23 @@ def test_the_wire_is_never_idle() -> None:
     run(scene, 8)
 
 
-@pytest.mark.parametrize("step", range(13))
-def test_a_write_that_is_announced_leaves_no_later_than_if_it_were_there_already(step: int) -> None:
+def test_a_write_that_is_announced_leaves_no_later_than_if_it_were_there_already() -> None:
     """Wherever in a poll it is announced: the poll under way is the last, the write 5 ms later."""
 
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        await asyncio.sleep(step * POLL_S / 13)
-        announced = line.loop.time()
-        line.worker.reserve()
-        await asyncio.sleep(0.005)
-        line.command(SetSpeed(unit=3, raw=700))
-        await asyncio.sleep(0.1)
-        left = next(at for at, data in line.written if at >= announced and data[3] == 0x84)
-        begun = [at for at, _ in line.written if announced <= at < left]
-        assert begun == []
-        assert left - announced <= max(POLL_S, 0.005) + 0.001
+        for step in range(13):
+            polled = len(polls(line, 0))
+            await line.until(lambda polled=polled: len(polls(line, 0)) > polled)
+            await asyncio.sleep(step * POLL_S / 13)
+            announced = line.loop.time()
+            line.worker.reserve()
+            await asyncio.sleep(0.005)
+            line.command(SetSpeed(unit=3, raw=700))
+            await asyncio.sleep(0.1)
+            left = next(at for at, data in line.written if at >= announced and data[3] == 0x84)
+            assert [at for at, _ in line.written if announced <= at < left] == [], step
+            assert left - announced <= max(POLL_S, 0.005) + 0.001, step
 
     run(scene, 8)
 
@@ -123,12 +124,12 @@ def test_who_reads_parameters_without_end_leaves_every_second_turn_to_the_scan()
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         began = line.loop.time()
-        while line.loop.time() < began + 10:
+        while line.loop.time() < began + 4:
             line.command(ReadParameters(unit=1, numbers=[1, 2, 3, 4, 5]), timeout_s=20.0)
             line.command(ReadParameters(unit=2, numbers=[1, 2, 3, 4, 5]), timeout_s=20.0)
             await asyncio.sleep(0.1)
         polled = polls(line, began)
-        assert len(polled) > 0.45 * 10 / POLL_S
+        assert len(polled) > 0.45 * 4 / POLL_S
         assert {polled.count(unit) for unit in line.units} <= {len(polled) // 8, len(polled) // 8 + 1}
         requested_at = line.loop.time()
         line.command(SetSpeed(unit=3, raw=700))
@@ -143,11 +144,11 @@ def test_a_turn_kept_for_a_write_that_never_comes_costs_a_moment_and_the_units_n
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         began = line.loop.time()
-        while line.loop.time() < began + 10:
+        while line.loop.time() < began + 3:
             line.worker.reserve()
             await asyncio.sleep(0.001)
         polled = polls(line, began)
-        assert len(polled) > 10 / (POLL_S + 2 * RESERVED_S)
+        assert len(polled) > 3 / (POLL_S + 2 * RESERVED_S)
         counts = [polled.count(unit) for unit in line.units]
         assert max(counts) - min(counts) <= 2
 
@@ -172,7 +173,7 @@ def test_a_turn_kept_for_a_write_that_never_comes_costs_a_moment_and_the_units_n
 def test_an_operators_command_is_the_very_next_frame(action: Action) -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        for _ in range(20):
+        for _ in range(7):
             await asyncio.sleep(0.0137)
             number, began = len(line.written), line.loop.time()
             command = line.command(action)
@@ -201,7 +202,7 @@ def test_endless_writes_do_not_starve_the_scan() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         began = line.loop.time()
-        while line.loop.time() < began + 20:
+        while line.loop.time() < began + 5:
             line.command(SetSpeed(1, 640))
             await asyncio.sleep(0.02)
         seen = polls(line, began)
@@ -213,7 +214,7 @@ def test_endless_writes_do_not_starve_the_scan() -> None:
 def test_one_of_eight_dead_the_others_keep_their_rate() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        await asyncio.sleep(10)
+        await asyncio.sleep(4)
         well = len(line.readings(1))
         await asyncio.sleep(20)
         well = len(line.readings(1)) - well
@@ -228,7 +229,7 @@ def test_one_of_eight_dead_the_others_keep_their_rate() -> None:
 
 def test_a_unit_that_was_never_there_costs_little_and_is_called_offline() -> None:
     async def scene(line: VirtualLine) -> None:
-        await asyncio.sleep(30)
+        await asyncio.sleep(15)
         assert unit_links(line, 4) == ["offline"]
         assert line.worker.line.figures().wire_utilisation > 0.9
 
@@ -240,13 +241,13 @@ def test_watched_units_are_polled_more_often() -> None:
         await settled(line)
         line.worker.watch(Watch(units=[2]))
         began = line.loop.time()
-        await asyncio.sleep(10)
+        await asyncio.sleep(4)
         counts = [polls(line, began).count(unit) for unit in line.units]
-        assert counts[1] > 80
-        assert min(counts) > 25
+        assert counts[1] > 32
+        assert min(counts) > 10
         line.worker.watch(Watch(units=[]))
         began = line.loop.time()
-        await asyncio.sleep(10)
+        await asyncio.sleep(4)
         counts = [polls(line, began).count(unit) for unit in line.units]
         assert max(counts) - min(counts) <= 2
 
@@ -359,8 +360,8 @@ def test_a_flood_that_never_frames_holds_nothing_up() -> None:
         result = await line.perform(SetSpeed(1, 640))
         assert result.outcome == "unverified"
         assert line.loop.time() - began < 3.0
-        await asyncio.sleep(20)
-        assert len(line.written) > number + 10, "it continues to poll"
+        await asyncio.sleep(8)
+        assert len(line.written) > number + 4, "it continues to poll"
         assert not made_up(line.updates, line.line.record, EPOCH)
         line.faults.clear()
         await line.until(lambda: unit_links(line, 1)[-1] == "online", within_s=15)
@@ -377,7 +378,7 @@ def test_strange_lines_are_bounded_and_named_in_figures(kind: FaultKind) -> None
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.faults.set(kind, 0.5, 0 if kind is FaultKind.ECHO else 2)
-        await asyncio.sleep(15)
+        await asyncio.sleep(5)
         assert not made_up(line.updates, line.line.record, EPOCH)
         figures = line.worker.line.figures()
         unit = figures.units[1]
@@ -391,7 +392,7 @@ def test_strange_lines_are_bounded_and_named_in_figures(kind: FaultKind) -> None
 def test_late_responses_are_never_taken_for_others() -> None:
     async def scene(line: VirtualLine) -> None:
         line.faults.set(FaultKind.LATE, 0.3)
-        for _ in range(10):
+        for _ in range(3):
             await line.perform(ReadParameters(1, list(range(1, 41))), within_s=120)
         assert not made_up(line.updates, line.line.record, EPOCH)
         for value in line.parameters():
@@ -402,7 +403,7 @@ def test_late_responses_are_never_taken_for_others() -> None:
 
 def test_a_full_read_of_an_unwatched_bus_costs_hardly_more_than_its_frames() -> None:
     async def scene(line: VirtualLine) -> None:
-        await asyncio.sleep(20)
+        await asyncio.sleep(8)
         began = line.loop.time()
         ids = [line.command(ReadParameters(unit, urgent=False)) for unit in line.units]
         await line.until(lambda: all(line.result_of(each) for each in ids), within_s=200)
@@ -410,20 +411,20 @@ def test_a_full_read_of_an_unwatched_bus_costs_hardly_more_than_its_frames() -> 
         frames = [frame for each in ids for frame in _result_of(line, each).frames]
         assert took <= 1.1 * sum(len(frame.data) * 10 / 9600 for frame in frames)
 
-    run(scene, 8)
+    run(scene, 4)
 
 
 def test_a_full_read_while_watched_costs_the_scan_no_more_than_a_tenth() -> None:
     async def scene(line: VirtualLine) -> None:
-        await asyncio.sleep(20)
+        await asyncio.sleep(8)
         line.worker.watch(Watch(units=list(line.units)))
         began = line.loop.time()
-        await asyncio.sleep(10)
+        await asyncio.sleep(5)
         usual = len(polls(line, began))
         line.command(ReadParameters(1, urgent=False))
         began = line.loop.time()
         await asyncio.sleep(5)
-        assert len(polls(line, began)) >= 0.88 * usual / 2
+        assert len(polls(line, began)) >= 0.88 * usual
 
     run(scene, 8)
 

@@ -184,6 +184,8 @@ class VirtualLine:
         self.port: VirtualPort | None = None
         self.written: list[tuple[float, bytes]] = []
         self.updates: list[Update] = []
+        self.raws: defaultdict[int, dict[int, int | None]] = defaultdict(dict)
+        """Of each unit the parameters as they were reported last."""
         self.worker = BusWorker(self.bus, VirtualClock(loop), self._open, seed)
         self._results: defaultdict[str, list[Result]] = defaultdict(list)
         self._came = asyncio.Event()
@@ -193,7 +195,9 @@ class VirtualLine:
     def _put(self, updates: Iterable[Update]) -> None:
         for update in updates:
             self.updates.append(update)
-            if isinstance(update, Result):
+            if isinstance(update, ParameterValue):
+                self.raws[update.unit][update.number] = update.raw
+            elif isinstance(update, Result):
                 self._results[update.id].append(update)
                 self._came.set()
 
