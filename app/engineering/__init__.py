@@ -1,1 +1,1 @@
-"""Values as documents: parameter sets, replacing a unit, recipes, the change tray."""
+"""Values kept as documents: parameter sets, replacing a unit, recipes, the change tray."""

@@ -1,1 +1,1 @@
-"""Setpoint recipes: the setpoints of a product, loaded as one change."""
+"""Setpoint recipes: all setpoints for one product, loaded as one change."""

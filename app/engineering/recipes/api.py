@@ -1,4 +1,4 @@
-"""Recipes over HTTP: listed, saved as versions, tried out, loaded, with their runs; and their schemas."""
+"""The HTTP API of recipes: list, save as versions, try out, load, their runs; and its schemas."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ RecipeRaw = Annotated[int, Field(ge=0, le=99999)]
 
 
 class SaveRecipeRequest(StrictBody):
-    """``setpoints``: unit → raw; without any, the setpoints that the line has now."""
+    """A recipe to save. ``setpoints``: unit → raw; if empty, the present setpoints of the line."""
 
     name: Annotated[OneLine, Field(min_length=1, max_length=80)]
     comment: Annotated[Lines, Field(max_length=1000)] = ""
@@ -56,8 +56,8 @@ class SaveRecipeRequest(StrictBody):
 
 
 class LoadRecipeRequest(StrictBody):
-    """``confirm``: steps that an engineer wants reviewed have been reviewed. ``leave_out``: units that keep
-    their present setpoint; without it all change or none."""
+    """A load of a recipe. ``confirm``: the person has reviewed the steps for which the configuration asks.
+    ``leave_out``: units that keep their setpoint; without it, all units change or none does."""
 
     confirm: bool = False
     leave_out: Annotated[UnitAddresses, Field(default_factory=list)]
@@ -87,7 +87,7 @@ class RecipeShown(TypedDict):
 
 
 class LoadedRecipe(TypedDict):
-    """The recipe that a bus was loaded with last."""
+    """The recipe that was last loaded on a bus."""
 
     id: int
     name: str
@@ -98,11 +98,11 @@ class LoadedRecipe(TypedDict):
 
 
 MAX_LOADS = 1000
-"""Loads of recipes that are searched for an earlier run."""
+"""The number of newest loads that are searched for an earlier run."""
 
 
 class RecipeRuns(TypedDict):
-    """The run of a recipe at a time, and the one of the same recipe before it."""
+    """The run of a recipe at a time, and the run of the same recipe before that."""
 
     name: str
     loaded: Annotated[Instant, Field(description="When it was loaded, ISO 8601.")]
@@ -118,12 +118,12 @@ async def recipe_or_404(book: Book, recipe_id: int) -> Recipe:
 
 
 KnownRecipe = Annotated[Recipe, Depends(recipe_or_404)]
-"""The version of a recipe of ``{recipe_id}`` in the path."""
+"""The recipe version with the ``{recipe_id}`` of the path."""
 
 
 @router.get("/recipes")
 async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[RecipeShown]:
-    """List the newest version of every recipe in use by name, at most 1000 of a bus."""
+    """List the newest version of each recipe in use, by name: at most 1000 for a bus."""
     return [_recipe_json(recipe, live.buses.get(recipe.bus)) for recipe in await book.store.newest(bus)]
 
 
@@ -131,7 +131,7 @@ async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None
 async def save_recipe(
     person: Annotated[Person, SAVE.permitted], book: Book, live: Live, bus: str, wanted: SaveRecipeRequest
 ) -> RecipeShown:
-    """Save a new version; older ones stay."""
+    """Save a new version of a recipe; older versions stay."""
     known = bus_or_404(live, bus)
     setpoints = _unit_setpoints(wanted.setpoints)
     if not setpoints:
@@ -143,13 +143,13 @@ async def save_recipe(
 
 @router.get("/recipes/{recipe_id}")
 async def get_recipe(_: Viewer, live: Live, recipe: KnownRecipe) -> RecipeShown:
-    """Return one version."""
+    """Return one version of a recipe."""
     return _recipe_json(recipe, live.buses.get(recipe.bus))
 
 
 @router.get("/recipes/{recipe_id}/dry-run")
 async def dry_run_recipe(person: Viewer, book: Book, recipe: KnownRecipe) -> RecipeDryRun:
-    """Return what loading it now would do, unit by unit, and how long it takes on the wire and by ramps."""
+    """Return the effect of loading the recipe now, unit by unit, and the time for sending and ramps."""
     return book.try_out(person, recipe)
 
 
@@ -174,7 +174,7 @@ async def load_recipe(
 
 @router.get("/buses/{bus}/recipe")
 async def get_loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> LoadedRecipe | None:
-    """Return the last loaded recipe of the bus, and the units that have left it since."""
+    """Return the recipe last loaded on the bus, and the units whose setpoint has changed since."""
     bus_or_404(live, bus)
     loaded = book.loaded(bus)
     if loaded is None:
@@ -193,7 +193,7 @@ async def get_loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> Load
 async def get_recipe_runs(
     _: Viewer, events: Events, live: Live, bus: str, at: ZonedTime | None = None
 ) -> RecipeRuns | None:
-    """Return the recipe that ran at a time (else now), since when, and when it ran before; null: none."""
+    """Return the recipe that ran at a time (or now), since when, and its previous run; null if none ran."""
     bus_or_404(live, bus)
     until = UnixTime(at.timestamp()) if at is not None else None
     wanted = Filter(kind=LOAD.kind, bus=bus, code=LOAD.event, until=until)
@@ -208,7 +208,7 @@ async def delete_recipe(person: Annotated[Person, DELETE.permitted], book: Book,
 
 
 def _recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
-    """Show one version, with its setpoints as configured units show them."""
+    """Return one version as JSON, with setpoints as configured units show them."""
     return {
         "id": recipe.id,
         "bus": recipe.bus,
@@ -231,7 +231,7 @@ def _recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
 
 
 def _unit_setpoints(given: dict[str, int]) -> dict[int, int]:
-    """Convert the keys of JSON to addresses. Raises Problem 422 for a key that is no address."""
+    """Convert the keys of JSON to addresses. Raise Problem 422 for a key that is not one."""
     wrong = next((key for key in given if not 1 <= (parse_integer(key) or 0) <= 255), None)
     if wrong is not None:
         raise Problem(422, "invalid", Message.of("not_a_unit_address", text=wrong))
@@ -239,9 +239,9 @@ def _unit_setpoints(given: dict[str, int]) -> dict[int, int]:
 
 
 def runs_of(loads: Sequence[Event]) -> RecipeRuns | None:
-    """Find the newest run of a recipe in these loads, newest first, and the run of the same recipe before it.
+    """Find the newest run of a recipe in ``loads``, newest first, and the run of the same recipe before that.
 
-    A run lasts until another recipe is loaded: one that is loaded again while it runs is still the same run.
+    A run lasts until another recipe is loaded; loading the same recipe again continues its run.
     """
     runs = [
         (name, min(load["time"] for load in run))

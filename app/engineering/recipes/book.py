@@ -35,13 +35,13 @@ from bus.messages import Message
 SAVE = Act("save_recipe", Role.ENGINEER, "recipe", "event_recipe_saved")
 DELETE = Act("delete_recipe", Role.ENGINEER, "recipe", "event_recipe_retired")
 LOAD = Act("load_recipe", SET_LINE.role, "recipe", "event_recipe_loaded")
-"""Needs the role of the command to the units; recorded when that is verified."""
+"""Loading needs the role of the command to units; it is recorded when that is verified."""
 ACTS = (SAVE, DELETE, LOAD)
 
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """The recipe that a bus was loaded with last."""
+    """The recipe that was last loaded on a bus."""
 
     recipe: Recipe
     who: str
@@ -49,11 +49,11 @@ class Loaded:
 
 
 class RecipeStore(Tables):
-    """The tables of recipes, with every version, and of the recipe that each bus was loaded with last."""
+    """The tables of recipes with all their versions, and of the recipe last loaded on each bus."""
 
     @writing
     def save(self, connection: StoreConnection, recipe: Recipe) -> Recipe:
-        """Store a new version, one above the highest of that name; return it with id and version."""
+        """Store a new version, one above the highest of its name; return it with version and id."""
         (version,) = connection.execute(
             "SELECT coalesce(max(version), 0) + 1 FROM recipe WHERE bus = ? AND name = ?",
             (recipe.bus, recipe.name),
@@ -71,12 +71,12 @@ class RecipeStore(Tables):
 
     @reading
     def load(self, connection: StoreConnection, recipe_id: int) -> Recipe | None:
-        """Return one version, if it exists."""
+        """Return one version, or None if it does not exist."""
         return next(_recipes(connection, [recipe_id]), None)
 
     @reading
     def newest(self, connection: StoreConnection, bus: str | None = None) -> list[Recipe]:
-        """Return the newest version of every recipe in use, by name."""
+        """Return the newest version of each recipe in use, by name."""
         found = connection.execute(
             "SELECT id FROM recipe AS mine WHERE retired = 0 AND (bus = :bus OR :bus IS NULL) AND version ="
             " (SELECT max(version) FROM recipe AS other WHERE other.bus = mine.bus"
@@ -87,7 +87,7 @@ class RecipeStore(Tables):
 
     @reading
     def is_full(self, connection: StoreConnection, bus: str, name: str, most: int) -> bool:
-        """Tell whether a recipe of this name would be more than ``most`` in use."""
+        """Return whether a recipe of this name would exceed ``most`` recipes in use."""
         count, is_there = connection.execute(
             "SELECT count(DISTINCT name), coalesce(max(CASE WHEN name = ? THEN 1 END), 0)"
             " FROM recipe WHERE bus = ? AND retired = 0",
@@ -120,7 +120,7 @@ class RecipeStore(Tables):
 
     @reading
     def loaded(self, connection: StoreConnection) -> dict[str, Loaded]:
-        """Return by bus the recipe that it was loaded with last."""
+        """Return, by bus, the recipe that was last loaded there."""
         marks = connection.execute("SELECT bus, recipe_id, who, loaded_at FROM loaded_recipe").fetchall()
         return {
             bus: Loaded(recipe, who, at)
@@ -130,7 +130,7 @@ class RecipeStore(Tables):
 
 
 def _recipes(connection: StoreConnection, ids: Iterable[int]) -> Iterator[Recipe]:
-    """Yield the versions of these ids that exist."""
+    """Yield the versions that exist for these ids."""
     for recipe_id in ids:
         heads = connection.execute(
             "SELECT bus, name, comment, who, saved_at, version FROM recipe WHERE id = ?", (recipe_id,)
@@ -144,11 +144,11 @@ def _recipes(connection: StoreConnection, ids: Iterable[int]) -> Iterator[Recipe
 
 
 MAX_RECIPES = 1000
-"""Most recipes in use on one bus; their list is not paged."""
+"""The most recipes in use on one bus; their list is not paged."""
 
 
 class RecipeBook:
-    """Saves, tries out and loads recipes, and knows which one each bus was loaded with."""
+    """The service that saves, tries out and loads recipes, and knows each bus's last one."""
 
     def __init__(
         self, state: LiveState, commands: Mapping[str, CommandService], store: RecipeStore, events: EventLog
@@ -159,30 +159,30 @@ class RecipeBook:
         self._events = events
         self._loaded: dict[str, Loaded] = {}
         self._under_way: set[tuple[str, str | None]] = set()
-        """Loads that are being sent, by sender and command id."""
+        """The loads that are being sent, by sender and command id."""
 
     async def load_marks(self) -> None:
-        """Read from the store which recipe each bus was loaded with last."""
+        """Read from the store the recipe that was last loaded on each bus."""
         self._loaded = await self.store.loaded()
 
     def loaded(self, bus: str) -> Loaded | None:
-        """Return the recipe that a bus was loaded with last."""
+        """Return the recipe that was last loaded on a bus, if any."""
         return self._loaded.get(bus)
 
     def departed(self, bus: str) -> list[RecipeDeparture]:
-        """Return the units that have left the loaded recipe since."""
+        """Return the units whose setpoint has left the loaded recipe."""
         loaded = self._loaded.get(bus)
         return rules.departures(loaded.recipe, self._state.buses[bus], loaded.at) if loaded else []
 
     def loaded_words(self, bus: str) -> tuple[str, list[str | Message]] | None:
-        """Return the names of the loaded recipe and of the units that have left it; None without one."""
+        """Return the name of the loaded recipe and of the units that have left it; None if none is loaded."""
         loaded = self._loaded.get(bus)
         return None if loaded is None else (loaded.recipe.name, [one.name for one in self.departed(bus)])
 
     async def save(
         self, person: Person, bus: str, name: str, comment: str, setpoints: Mapping[int, int]
     ) -> Recipe:
-        """Save a new version. ``setpoints``: raw by unit. Raises Problem 403 or 422."""
+        """Save a new version. ``setpoints``: raw by unit. Raise Problem 403 or 422."""
         SAVE.check(person)
         live = self._state.buses[bus]
         if await self.store.is_full(bus, name, MAX_RECIPES):
@@ -202,7 +202,7 @@ class RecipeBook:
         await self._record(DELETE, person, versions[0])
 
     def try_out(self, person: Person, recipe: Recipe) -> RecipeDryRun:
-        """Find out what loading the recipe now would do; nothing is sent."""
+        """Return the effect that loading the recipe now would have; send nothing."""
         refusal = partial(self._refusal, person, recipe.bus)
         return rules.dry_run(recipe, self._bus(recipe), refusal, unix_now())
 
@@ -217,13 +217,13 @@ class RecipeBook:
         left_out: Collection[int] = (),
         scales: Scales | None = None,
     ) -> Result:
-        """Load a recipe as one change: staged, broadcast, read back.
+        """Load a recipe as one change: stage, broadcast, read back.
 
-        ``left_out``: units that keep their present setpoint; ``scales``: what the review was made with, None
-        without a review. A ``command_id`` that this person has used gives the result of that load again: the
-        line is not judged as it is now, and the recipe is not recorded as loaded a second time.
+        ``left_out``: units that keep their present setpoint; ``scales``: those of the review, None without
+        one. A ``command_id`` that this person has used before returns the result of that load: nothing is
+        checked against the present line, and nothing is recorded.
 
-        Raises Problem 409 where a unit that is not left out cannot take its setpoint, 422 where all are.
+        Raise Problem 409 if a unit that is not left out cannot take its setpoint, 422 if all are left out.
         """
         steps = self.try_out(person, recipe).steps
         taking = [step for step in steps if step.unit not in left_out]
@@ -268,7 +268,7 @@ class RecipeBook:
         )
 
     async def _mark(self, person: Person, recipe: Recipe, left_out: Sequence[str | Message]) -> None:
-        """Record a recipe as the loaded one of its bus; ``left_out``: names of units."""
+        """Record a recipe as loaded on its bus; ``left_out``: the names of units."""
         loaded = self._loaded[recipe.bus] = Loaded(recipe, person.name, unix_now())
         await self.store.mark_loaded(recipe.bus, recipe.id, loaded.who, loaded.at)
         await self._record(
@@ -276,7 +276,7 @@ class RecipeBook:
         )
 
     def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> Message | None:
-        """Return the reason why this setpoint, confirmed, would be refused now, if any."""
+        """Return the reason why this setpoint, if confirmed, would be refused now."""
         try:
             self._commands[bus].check(person, SetSpeed(unit=unit, raw=raw), confirm=True)
         except Problem as problem:
@@ -297,7 +297,7 @@ class RecipeBook:
 
 
 def _refuse_obstacles(recipe: Recipe, steps: Sequence[RecipeDryRunStep]) -> None:
-    """Raise Problem 409 where a unit cannot take its setpoint now."""
+    """Raise Problem 409 if a unit cannot take its setpoint now."""
     why = [Message.of("of_unit", name=step.name, reason=step.obstacle) for step in steps if step.obstacle]
     if why:
         raise Problem(409, "not_loadable", Message.of("recipe_not_loadable", name=recipe.name, why=why))

@@ -1,4 +1,4 @@
-"""Setpoint recipes and their pages: the list, one recipe with its dry run, save, load."""
+"""The feature of recipes and its pages: the list, one recipe with its dry run, save, load."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 @router.get("/recipes")
 async def list_page(request: Request, _: Viewer, book: Book, live: Live) -> Response:
-    """List the recipes in use and the loaded ones, with the form to save the line as it is."""
+    """List the recipes in use and the loaded ones, with a form that saves the present line."""
     return await _list(request, book, live)
 
 
@@ -55,8 +55,8 @@ async def _list(
     typed: Mapping[str, str] | None = None,
     errors: Mapping[str, Message] | None = None,
 ) -> Response:
-    """Show the page; ``opened``: the bus whose form is refused, with what was ``typed`` and the ``errors`` by
-    field."""
+    """Show the list of recipes. ``opened``: the bus whose form was refused; ``typed``: its texts; ``errors``:
+    by field."""
     return render(
         request,
         "recipes/page.html",
@@ -81,7 +81,7 @@ async def save(
     name: Annotated[OneLine, Form()] = "",
     comment: Annotated[Lines, Form()] = "",
 ) -> Response:
-    """Save a new version with the typed setpoints; a unit left empty is not part of it."""
+    """Save a new version with the typed setpoints; an empty field leaves its unit out."""
     form = await request.form()
     bus = bus_or_404(live, str(form.get("bus", "")))
     name, bus_name = name.strip(), bus.settings.name
@@ -104,7 +104,7 @@ async def save(
 
 @router.get("/recipes/{recipe_id}")
 async def one_page(request: Request, person: Viewer, book: Book, recipe: KnownRecipe) -> Response:
-    """Show one version, what loading it now would do, and the other versions."""
+    """Show one version, the effect of loading it now, and the other versions."""
     return render(
         request,
         "recipes/one.html",
@@ -118,7 +118,7 @@ async def one_page(request: Request, person: Viewer, book: Book, recipe: KnownRe
 async def review(
     person: Annotated[Person, permitted(SET_LINE)], page: Page, book: Book, recipe: KnownRecipe
 ) -> Response:
-    """Review what loading the recipe will do."""
+    """Show a review of the effect of loading the recipe."""
     of_bus = page.of_bus(recipe.bus)
     bus = of_bus.bus
     await of_bus.know_ramps([one.unit for one in recipe.setpoints if one.unit in bus.units])
@@ -150,7 +150,7 @@ async def load(
     recipe: KnownRecipe,
     confirmed: Confirmed,
 ) -> Response:
-    """Stage every unit, broadcast once, read back each unit."""
+    """Load the recipe: stage every unit, broadcast once, read back each unit."""
     of_bus, form = page.of_bus(recipe.bus), await request.form()
     try:
         is_sent = await of_bus.has_sent(confirmed.id)
@@ -185,13 +185,13 @@ async def retire(
     bus: Annotated[str, Form()],
     name: Annotated[TypedText, Form()],
 ) -> Response:
-    """Take a recipe out of the list."""
+    """Take a recipe out of the list; its versions stay on record."""
     await book.retire(person, bus, name)
     return RedirectResponse("/recipes", 303)
 
 
 def _present(bus: BusLive) -> dict[int, str]:
-    """Return the present setpoint of each unit as it shows it; empty where it is not known."""
+    """Return the present setpoint of each unit as text; empty if it is not known."""
     known = {
         one.unit: setpoint_text(bus.units[one.unit], one.raw, one.kind)
         for one in setpoints_now(bus.units.values())

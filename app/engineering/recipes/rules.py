@@ -1,4 +1,4 @@
-"""What a recipe is, whether it can be loaded now, what that would do, and which units left it since. Pure."""
+"""Recipes: obstacles to loading one now, the effect of a load, the units that left it since. Pure."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ NOT_CONFIGURED = Message("unit_not_configured")
 
 @dataclass(frozen=True, slots=True)
 class RecipeSetpoint:
-    """The setpoint of one unit. ``raw``: in display units, or ratio times 10000 for a follower. ``scale``:
-    what it was shown with when it was saved, as text; empty where that is not known."""
+    """The setpoint of one unit. ``raw``: display units, or ratio times 10000 for a follower. ``scale``: the
+    scale that showed it when it was saved, as text; empty if not known."""
 
     unit: int
     raw: int
@@ -44,7 +44,7 @@ class RecipeSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """One version of a named set of setpoints; it never changes, a new version is saved beside it."""
+    """One version of a named set of setpoints. It never changes: a change is saved as a new version."""
 
     bus: str
     name: str
@@ -64,7 +64,7 @@ RampS = Annotated[float | None, Field(description="Duration of the ramp, seconds
 
 @dataclass(frozen=True, slots=True)
 class RecipeDryRunStep:
-    """What loading a recipe does to one unit."""
+    """The effect of loading a recipe on one unit."""
 
     unit: Annotated[UnitAddress, Field(serialization_alias="id")]
     name: UnitName
@@ -83,7 +83,7 @@ class RecipeDryRunStep:
 
 @dataclass(frozen=True, slots=True)
 class RecipeDryRun:
-    """What loading a recipe now would do."""
+    """The effect that loading a recipe now would have."""
 
     steps: Annotated[tuple[RecipeDryRunStep, ...], Field(serialization_alias="units")]
     wire_s: Annotated[float, Field(description="Duration on the wire at best, seconds.")]
@@ -93,7 +93,7 @@ class RecipeDryRun:
 
 @dataclass(frozen=True, slots=True)
 class RecipeDeparture:
-    """A unit whose setpoint is no longer that of the recipe, or that is gone."""
+    """A unit that is gone or whose setpoint is no longer that of the recipe."""
 
     unit: Annotated[UnitAddress, Field(serialization_alias="id")]
     name: UnitName
@@ -102,13 +102,13 @@ class RecipeDeparture:
 
 
 def setpoint_kind(unit: UnitLive) -> SetpointKind | None:
-    """Tell by #8 what a setpoint of this unit is; None while #8 was not read."""
+    """Return the kind of a unit's setpoint by #8; None while #8 was not read."""
     return None if follower(unit) is None else kind_of(unit)
 
 
 def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: UnixTime) -> RecipeDryRun:
-    """Find out what loading a recipe would do. ``refusal(unit, raw)`` returns why a setpoint would be refused
-    now, if it would."""
+    """Return the effect that loading a recipe would have. ``refusal(unit, raw)`` returns the reason why a
+    setpoint would be refused now, or None."""
     steps = tuple(_step(setpoint, bus, refusal, now) for setpoint in recipe.setpoints)
     ramps = [step.ramp_s for step in steps if step.ramp_s is not None]
     loadable = not any(step.obstacle for step in steps)
@@ -116,7 +116,7 @@ def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: UnixTim
 
 
 def departures(recipe: Recipe, bus: BusLive, since: UnixTime = UnixTime(0.0)) -> list[RecipeDeparture]:
-    """Return the units whose setpoint no longer equals the recipe. ``since``: when it was loaded."""
+    """Return the units whose setpoint differs from the recipe. ``since``: the time of the load."""
     found = (_departure(setpoint, bus.units.get(setpoint.unit), since) for setpoint in recipe.setpoints)
     return [departure for departure in found if departure is not None]
 
@@ -158,7 +158,7 @@ def _step(
 
 
 def _effect(setpoint: RecipeSetpoint, present: int | None, ramp_s: float | None) -> str:
-    """Return the code of what will happen to a unit whose setpoint is ``present``."""
+    """Return the message code of the effect on a unit whose setpoint is ``present``."""
     if present is None:
         return "recipe_sets"
     if present == setpoint.raw:
@@ -175,7 +175,7 @@ def _obstacle(setpoint: RecipeSetpoint, bus: BusLive, unit: UnitLive, now: UnixT
 
 
 def why_not_setpoint(setpoint: RecipeSetpoint, bus: BusLive) -> Message | None:
-    """Return the reason why a setpoint does not fit its unit, whatever that takes now, if it does not."""
+    """Return the reason why a setpoint does not fit its unit, however the unit is now; None if it fits."""
     unit = bus.units.get(setpoint.unit)
     if unit is None:
         return NOT_CONFIGURED
@@ -190,7 +190,7 @@ def why_not_setpoint(setpoint: RecipeSetpoint, bus: BusLive) -> Message | None:
 
 
 def present_raw(unit: UnitLive, kind: SetpointKind) -> int | None:
-    """Return the present setpoint of the unit: CS of its last response, or #37 for a ratio."""
+    """Return a unit's present setpoint: CS of its last response, or #37 for a ratio."""
     if kind == "ratio":
         return unit.parameter_raw(RATIO_SETPOINT)
     return unit.reading.commanded if unit.reading is not None else None
@@ -210,7 +210,7 @@ def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: UnixTime)
 
 
 def _commanded_since(unit: UnitLive, kind: SetpointKind, moment: UnixTime) -> bool:
-    """Tell whether the setpoint was read after ``moment``; #37 is read in the slow scan only."""
+    """Return whether the setpoint was read after ``moment``; only the slow scan reads #37."""
     if kind == "speed":
         return unit.reading is not None
     read = unit.parameters.get(RATIO_SETPOINT)
@@ -218,7 +218,7 @@ def _commanded_since(unit: UnitLive, kind: SetpointKind, moment: UnixTime) -> bo
 
 
 def setpoints_now(units: Iterable[UnitLive]) -> tuple[RecipeSetpoint, ...]:
-    """Return the known present setpoints of units, to begin a recipe from."""
+    """Return the known present setpoints of units as the start of a recipe."""
     return tuple(
         RecipeSetpoint(unit.settings.id, raw, kind, scale_text(setpoint_scale(unit, raw)))
         for unit in units

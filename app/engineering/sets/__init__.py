@@ -1,1 +1,1 @@
-"""Parameter sets: stored, compared, restored, verified."""
+"""Parameter sets: store, compare, restore, verify."""

@@ -1,4 +1,4 @@
-"""Parameter sets over HTTP: saved, listed, compared; with their schemas. Only an export shows #21."""
+"""The HTTP API of parameter sets: save, list, compare; and its schemas. Only an export shows #21."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ from bus.validation import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
 MAX_SETS = 1000
-"""Most sets in one response."""
+"""The most sets in one response."""
 DOCUMENT: dict[int | str, dict[str, Any]] = {
     200: {"content": {"application/toml": {"schema": {"type": "string"}}}}
 }
 
 
 class SaveSetRequest(StrictBody):
-    """Which units to read now (all of the bus when empty)."""
+    """The units to read now; all units of the bus if empty."""
 
     units: Annotated[UnitAddresses, Field(default_factory=list)]
     name: Annotated[OneLine, Field(max_length=80)] = ""
@@ -54,13 +54,13 @@ class SaveSetRequest(StrictBody):
 
 
 class GoldenSetRequest(StrictBody):
-    """The unit whose golden set this becomes."""
+    """The unit for which this set becomes the golden set."""
 
     unit: int
 
 
 class SaveScheduleRequest(StrictBody):
-    """Minute of the local day at which all units of the bus are read; null ends it."""
+    """The minute of the local day at which all units of the bus are read; null: no schedule."""
 
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
@@ -104,7 +104,7 @@ class GoldenSet(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class DriftRow(ParameterDifference):
-    """A difference of a unit from its golden set, and whose change it is."""
+    """A difference of a unit from its golden set, with the author of the change."""
 
     changed_by: Annotated[str | None, Field(description="User or token; null: changed at the keypad.")]
     changed_at: MaybeTime
@@ -127,7 +127,7 @@ class OverdueSave(TypedDict):
 
 
 class SaveSchedule(TypedDict):
-    """When the sets of a bus are saved."""
+    """The daily schedule that saves the sets of a bus."""
 
     minute_of_day: Annotated[int | None, Field(description="Local time, 0 to 1439; null: not by schedule.")]
     overdue: list[OverdueSave]
@@ -149,8 +149,8 @@ async def list_parameter_sets(
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MAX_SETS)] = MAX_SETS,
 ) -> list[ParameterSetSummary]:
-    """List stored sets, newest first: at most 1000. The last ``id`` is ``before`` of the next page, which the
-    header ``Link`` names."""
+    """List stored sets, newest first, at most 1000. The header ``Link`` names the next page: its ``before``
+    is the last ``id`` of this one."""
     found = await sets.summaries(bus, unit, before=before, limit=limit + 1)
     if len(found) > limit:
         link_next(request, response, found[limit - 1].id)
@@ -175,7 +175,7 @@ async def save_parameter_set(
 
 @router.get("/sets/{set_id}")
 async def get_parameter_set(_: Viewer, stored: StoredSet) -> ParameterSetShown:
-    """Return a set with the evidence of each value; #21 is masked."""
+    """Return a set with the frame that proves each value; #21 is masked."""
     return _set_json(stored)
 
 
@@ -183,7 +183,7 @@ async def get_parameter_set(_: Viewer, stored: StoredSet) -> ParameterSetShown:
 async def export_parameter_set(
     person: Viewer, stored: StoredSet, events: Events, secrets: bool = False
 ) -> Response:
-    """Export the set as a TOML file; with ``secrets`` (engineer) including #21, which is an event."""
+    """Export the set as a TOML file. ``secrets`` includes #21: for engineers only, and recorded."""
     if secrets:
         if not person.role.includes(EXPORT_SECRET.role):
             raise Problem(403, "forbidden", Message("secret_for_engineer"))
@@ -201,7 +201,7 @@ async def mark_golden_set(
     stored: StoredSet,
     mark: GoldenSetRequest,
 ) -> GoldenSet:
-    """Make this set the golden set of the unit."""
+    """Make this set the golden set of a unit."""
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, [mark.unit])
     return {"set": stored.id, "unit": mark.unit, "golden": True}
 
@@ -216,7 +216,7 @@ async def compare_parameter_sets(
     other_unit: int | None = None,
     tolerance: int = 0,
 ) -> list[ParameterDifference]:
-    """Compare two sets row by row."""
+    """Compare the units of two sets row by row."""
     left = unit_rows_or_404(stored, unit)
     right = unit_rows_or_404(await set_or_404(sets, other_id), other_unit or unit)
     return compare(left, right, tolerance)
@@ -224,8 +224,8 @@ async def compare_parameter_sets(
 
 @router.get("/buses/{bus}/units/{unit}/drift")
 async def get_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> DriftShown:
-    """Return where the unit, as last read, differs from its golden set, and who changed it: ``changed_by``
-    null is a change at the keypad. ``unread``: parameters that could not be compared yet."""
+    """Return the parameters in which the unit, as last read, differs from its golden set. ``changed_by``:
+    null for a change at the keypad. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
     return {
         "golden": drift.has_golden(unit),
@@ -236,7 +236,7 @@ async def get_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) ->
 
 @router.get("/buses/{bus}/set-schedule")
 async def get_save_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> SaveSchedule:
-    """Return the minute of the day at which the units of the bus are saved, and why units are overdue."""
+    """Return the minute of the day at which the bus is saved, and the units that are overdue and why."""
     overdue: list[OverdueSave] = [
         {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
     ]
@@ -253,7 +253,7 @@ async def set_save_schedule(
 
 
 def _set_json(stored: ParameterSet) -> ParameterSetShown:
-    """Show a complete set; secrets are masked."""
+    """Return a complete set as JSON; secrets are masked."""
     head: dict[str, Any] = {each.name: getattr(stored, each.name) for each in fields(SetHead)}
     return ParameterSetShown(**head, units=[_unit_json(rows) for rows in stored.units])
 
@@ -278,7 +278,7 @@ def _unit_json(rows: UnitRows) -> ParameterSetUnit:
 
 
 def _departure_json(departure: DriftedParameter) -> DriftRow:
-    """Show a difference from the golden set, and whose change it is."""
+    """Return a difference from the golden set as JSON, with its author."""
     change = departure.change
     row: dict[str, Any] = {each.name: getattr(departure.row, each.name) for each in fields(departure.row)}
     return DriftRow(

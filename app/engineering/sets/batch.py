@@ -1,4 +1,4 @@
-"""A batch edit: one parameter of many units, reviewed as a table, written unit by unit; and its page."""
+"""Batch edits: one parameter of many units, reviewed as a table, written unit by unit; and the page."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ from bus.errors import CallerError
 from bus.messages import Message
 
 _OF_THE_PERSON = frozenset({"forbidden", "rights_withdrawn", "controlled"})
-"""Refusals that hold for every other unit too."""
+"""The refusals that would also meet every other unit."""
 _LEARN_WITHIN_S = 10.0
-"""255 units at 9600 baud take 5 s for one parameter each, and twice that beside the scan."""
+"""The seconds to read one parameter of 255 units: 5 s at 9600 baud, twice that beside the scan."""
 
 
 @dataclass(frozen=True, slots=True)
 class BatchRow:
-    """One unit of a batch, with what was ``typed`` for it.
+    """One unit of a batch, with the text that was ``typed`` for it.
 
-    ``wanted``: the raw value to write, None without one; ``fault``: why the text is refused; ``warning``:
-    what the write does to the machine now.
+    ``wanted``: the raw value to write, if any; ``fault``: the reason why the text is refused; ``warning``:
+    the effect of the write on the machine now.
     """
 
     unit: int
@@ -55,24 +55,24 @@ class BatchRow:
     present: Message
     present_raw: int | None
     reviewed: str = ""
-    """The raw present value in a form, to see whether it moves; empty for a secret or unknown one."""
+    """The raw present value in a form, to detect a change; empty for a secret or unknown value."""
     typed: str = ""
     wanted: int | None = None
     scale: UnitScale = field(default_factory=dict)
-    """What ``typed`` was converted with."""
+    """The scale that converted ``typed``."""
     shown: Message | None = None
     fault: Message | None = None
     warning: Message | None = None
 
     @property
     def changes(self) -> bool:
-        """Tell whether there is something to write; the unit may have the value already."""
+        """Whether there is a value to write that the unit does not have."""
         return self.wanted is not None and self.wanted != self.present_raw
 
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """The result at one unit; ``outcome`` is that of the command, or the code of its refusal."""
+    """The result at one unit; ``outcome``: of the command, or the code of its refusal."""
 
     unit: int
     name: str
@@ -81,7 +81,7 @@ class BatchResult:
 
 
 def rows_of_batch(bus: BusLive, number: int, typed: Mapping[int, str]) -> list[BatchRow]:
-    """Return a row for every unit of the bus, with its present value and what was typed for it."""
+    """Return one row for each unit of the bus, with its present value and its typed text."""
     return [
         _row(unit, PARAMETERS[number], typed.get(key, "").strip(), status_of(bus, unit))
         for key, unit in bus.units.items()
@@ -89,9 +89,9 @@ def rows_of_batch(bus: BusLive, number: int, typed: Mapping[int, str]) -> list[B
 
 
 def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
-    """Raise Problem 409 where a unit no longer has the value that the review showed.
+    """Raise Problem 409 if a unit no longer has the value that the review showed.
 
-    ``reviewed``: by unit what :attr:`BatchRow.reviewed` was then.
+    ``reviewed``: the :attr:`BatchRow.reviewed` of that time, by unit.
     """
     for row in rows:
         if row.changes and reviewed.get(row.unit, row.reviewed) != row.reviewed:
@@ -99,8 +99,8 @@ def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
 
 
 async def learn(commands: CommandService, person: Person, bus: BusLive, number: int) -> None:
-    """Read a parameter from the online units whose value was never read; a unit that does not respond keeps
-    it unknown."""
+    """Read a parameter of the online units for which it was never read. A unit that does not respond still
+    has no value afterwards."""
 
     async def read(unit: int) -> None:
         action = ReadParameters(unit=unit, numbers=[number], urgent=True)
@@ -116,8 +116,8 @@ async def learn(commands: CommandService, person: Person, bus: BusLive, number: 
 async def write_batch(
     commands: CommandService, person: Person, number: int, rows: list[BatchRow], *, confirm: bool
 ) -> list[BatchResult]:
-    """Write the rows that change something, one after another. A refusal that concerns the person ends it,
-    one that concerns a unit does not."""
+    """Write the rows that change a value, one after another. A refusal that concerns the person ends the
+    batch; a refusal that concerns one unit does not."""
     results: list[BatchResult] = []
     stopped_by: Message | None = None
     for row in rows:
@@ -176,7 +176,7 @@ router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 async def batch_page(
     request: Request, person: ParameterWriter, live: Live, commands: Commands, bus: str, number: int = 6
 ) -> Response:
-    """Show the values of one parameter in all units; those that were never read are read now."""
+    """Show the values of one parameter in all units; read those that were never read."""
     parameter = writable_or_404(number)
     await learn(commands, person, bus_or_404(live, bus), number)
     rows = rows_of_batch(live.buses[bus], number, {})
@@ -188,7 +188,7 @@ async def batch_page(
 
 @router.post("/batch/{bus}/review")
 async def batch_review(request: Request, _: ParameterWriter, live: Live, bus: str) -> Response:
-    """Show row by row what would be written; nothing is."""
+    """Show row by row the writes that would be sent; send none."""
     number, typed = await typed_batch(request)
     parameter = writable_or_404(number)
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
@@ -200,7 +200,7 @@ async def batch_review(request: Request, _: ParameterWriter, live: Live, bus: st
 async def batch_write(
     request: Request, person: ParameterWriter, live: Live, commands: Commands, bus: str
 ) -> Response:
-    """Write what the review showed."""
+    """Write the values that the review showed."""
     number, typed = await typed_batch(request)
     parameter = writable_or_404(number)
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
@@ -214,13 +214,13 @@ async def batch_write(
 
 
 async def typed_batch(request: Request) -> tuple[int, dict[int, str]]:
-    """Return the number of the parameter and what was typed for each unit."""
+    """Return the number of the parameter and the typed text for each unit."""
     form = await request.form()
     return parse_integer(str(form.get("number", ""))) or 0, _by_unit(form, "unit-")
 
 
 def _by_unit(form: FormData, prefix: str) -> dict[int, str]:
-    """Return the fields whose names are ``prefix`` and an address."""
+    """Return the fields whose names are ``prefix`` and an address, by unit."""
     return {
         unit: str(value)
         for key, value in form.items()
@@ -229,7 +229,7 @@ def _by_unit(form: FormData, prefix: str) -> dict[int, str]:
 
 
 def writable_or_404(number: int) -> Parameter:
-    """Return a parameter that can be written over the bus. Raises Problem 404."""
+    """Return a parameter that can be written over the bus. Raise Problem 404."""
     parameter = PARAMETERS.get(number)
     if parameter is None or parameter.never_writable:
         raise Problem(404, "unknown_parameter", Message.of("parameter_not_writable", number=number))

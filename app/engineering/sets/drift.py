@@ -1,4 +1,4 @@
-"""The drift of units from their golden sets, and who caused it: a user, or a person at the keypad."""
+"""The drift of units from their golden sets, and its cause: a user, or a person at the keypad."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from bus.messages import Message, ParamValue, listed
 
 @dataclass(frozen=True, slots=True)
 class DriftedParameter:
-    """A parameter that differs from the golden set: ``before`` there, ``after`` as last read.
+    """A parameter that differs from the golden set: ``before`` in the set, ``after`` as last read.
 
-    ``change`` is the command that caused it, None for a change at the keypad. It counts only once the events
-    have been searched (``traced``).
+    ``change`` is the command that caused the difference, None for a change at the keypad; it is valid only
+    once the events have been searched (``traced``).
     """
 
     row: ParameterDifference
@@ -36,18 +36,18 @@ class DriftedParameter:
 
     @property
     def key(self) -> str:
-        """A text that changes whenever the displayed drift does."""
+        """A text that changes whenever the displayed difference changes."""
         return (
             f"{self.row.number}={self.before.raw}>{self.after.raw}@{self.change['id'] if self.change else ''}"
         )
 
     def is_of_same_value(self, other: DriftedParameter) -> bool:
-        """Tell whether both are the same difference, whatever caused it."""
+        """Return whether both are the same difference, whatever caused them."""
         return (self.row.number, self.after.raw) == (other.row.number, other.after.raw)
 
 
 class BusDrift:
-    """The comparison of the units of one bus with their golden sets as parameters are read."""
+    """The comparison of the units of one bus with their golden sets as values arrive."""
 
     def __init__(self, live: BusLive, store: SetStore, events: EventLog) -> None:
         self._live = live
@@ -61,11 +61,11 @@ class BusDrift:
         live.subscribe(Audience.DRIFT, self._see)
 
     def on_change(self, subscriber: Callable[[int], None]) -> None:
-        """Have ``subscriber`` called when the drift of a unit has changed."""
+        """Call ``subscriber`` with each unit whose drift has changed."""
         self._subscribers.append(subscriber)
 
     async def load(self) -> None:
-        """Load the golden sets, at the start and after another set was marked golden."""
+        """Load the golden sets: at the start and after a set was marked golden."""
         self._golden = await self._store.golden(self._bus)
         self._found = {}
         for unit in self.marked():
@@ -76,29 +76,29 @@ class BusDrift:
         return [unit for unit in self._golden if unit in self._live.units]
 
     def has_golden(self, unit: int) -> bool:
-        """Tell whether the unit has a golden set."""
+        """Return whether the unit has a golden set."""
         return unit in self._golden
 
     def differing(self, unit: int) -> list[DriftedParameter]:
-        """Return the parameters in which a unit, as last read, differs from its golden set."""
+        """Return the parameters that, as last read, differ from the unit's golden set."""
         return list(self._found.get(unit, {}).values())
 
     def golden_values(self, unit: int) -> dict[int, Message]:
-        """Return what the golden set has for each parameter that differs from it, by number."""
+        """Return the golden value of each parameter that differs from it, by number."""
         return {one.row.number: one.row.left for one in self.differing(unit)}
 
     async def traced(self, unit: int) -> list[DriftedParameter]:
-        """Return the drift of a unit once the events have been searched for each change."""
+        """Return the drift of a unit after searching the events for each change."""
         await self._trace(unit, self.differing(unit))
         return self.differing(unit)
 
     def unread(self, unit: int) -> int:
-        """Count the parameters that were not read from the unit since the server started."""
+        """Count the parameters that were never read from the unit since the server started."""
         known = self._live.units[unit].parameters
         return sum(number not in known for number in PARAMETERS)
 
     def summary(self, unit: int, translator: Translator, now: UnixTime) -> Drifted:
-        """Describe the drift in one line, with a key of what the list on the unit's page shows."""
+        """Return the drift as one line of text, with a key of the list on the unit's page."""
         if unit not in self._golden:
             return Drifted()
         found = self.differing(unit)
@@ -106,7 +106,7 @@ class BusDrift:
         return Drifted(text, f"{self.unread(unit)}:{','.join(one.key for one in found)}")
 
     def _see(self, updates: Sequence[Update]) -> None:
-        """Compare the units of which parameters were read."""
+        """Compare the units whose parameters were read."""
         read: dict[int, set[int]] = {}
         for update in updates:
             if isinstance(update, ParameterValue) and update.unit in self._golden:
@@ -115,7 +115,7 @@ class BusDrift:
             self._compare(unit, numbers)
 
     def _compare(self, unit: int, numbers: Iterable[int]) -> None:
-        """Compare a unit again, and search again for what changed the ``numbers``, which were read now."""
+        """Compare a unit again, and search again for the causes of ``numbers``, which were just read."""
         known, golden = self._found.get(unit, {}), self._golden[unit]
         present = known_rows(self._live.units[unit])
         found: dict[int, DriftedParameter] = {}
@@ -145,7 +145,7 @@ class BusDrift:
 
 
 def drift_rows(golden: UnitRows, live: UnitRows) -> list[ParameterDifference]:
-    """Return the rows in which a live unit differs from its golden set; setpoints do not count."""
+    """Return the rows in which a unit differs from its golden set; setpoints do not count."""
     return [row for row in differences(golden, live) if row.number not in OPERATING_VALUES]
 
 
@@ -170,7 +170,7 @@ def _summary(found: list[DriftedParameter], formats: Formats, now: UnixTime) -> 
 
 
 def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
-    """Return the last change of every person, newest first, and how many rows they changed."""
+    """Return each person's last change, newest first, and how many rows they changed."""
     by_person: dict[str, list[Event]] = {}
     for one in found:
         if one.change is not None:
@@ -182,24 +182,24 @@ def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
 
 
 _ACTED = ("verified", "acknowledged", "unverified", None)
-"""Outcomes after which the unit may have taken the value; None: it was read before the outcome was stored."""
+"""The outcomes after which the unit may have the value; None: it was read before the outcome was stored."""
 MAX_EVENTS = 20
-"""Newest events of a parameter that are examined; refused commands are among them."""
+"""The newest events of a parameter to examine; refused commands are among them."""
 
 
 async def _command_of(events: EventLog, bus: str, unit: int, one: DriftedParameter) -> Event | None:
-    """Find the write, later than the golden set, that left the value as it is; None for a change at the
+    """Find the write, later than the golden set, that made the value what it is; None for a change at the
     keypad."""
     at_unit = Filter(kind="command", bus=bus, unit=unit, since=one.before.read_at)
     wanted = replace(at_unit, code="event_write_parameter", number=one.row.number)
     for event in (await events.page(wanted, MAX_EVENTS))[0]:
         if event["outcome"] in _ACTED:
-            # A secret is in no event: only its last write can be named.
+            # Events hold no secret: only its last write can be named.
             is_known = PARAMETERS[one.row.number].secret or event["new_raw"] == one.after.raw
             return event if is_known else None
     old, new = one.before.raw, one.after.raw
     if old is None or new is None:
         return None
-    # A version that stored no parameter number: the write from the one value to the other.
+    # A former version stored no parameter number: look for the two values.
     found, _ = await events.page(replace(at_unit, old_raw=old, new_raw=new), MAX_EVENTS)
     return next((event for event in found if not event["messages"] and event["outcome"] in _ACTED), None)

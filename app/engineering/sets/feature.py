@@ -1,4 +1,4 @@
-"""Parameter sets: saved, scheduled, compared, restored."""
+"""The feature of parameter sets: save, schedule, compare, restore."""
 
 from __future__ import annotations
 

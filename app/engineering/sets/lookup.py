@@ -1,6 +1,6 @@
-"""Finds the sets, rows, restores and files that a request or form names, or refuses it with a Problem.
+"""Searches for the sets, rows, restores and files that a request or form names; a fault raises Problem.
 
-A side of a comparison has a text in addresses and forms: ``set:12:3`` is unit 3 of set 12,
+A text names a side of a comparison in addresses and forms: ``set:12:3`` is unit 3 of set 12,
 ``golden:dry-end:3`` the golden set of unit 3, ``live:dry-end:3`` its values as last read.
 """
 
@@ -32,9 +32,9 @@ Restores = Annotated[RestoreService, service(RestoreService)]
 async def document_rows(
     text: str, source: str | Message, unit: int, from_unit: int | None = None
 ) -> UnitRows:
-    """Read the rows of a TOML file meant for a unit: of ``from_unit`` if given, its own, or the only ones.
+    """Read a unit's rows from a TOML file: those of ``from_unit`` if given, its own, or the only ones.
 
-    Raises DocumentError, or Problem 422 where the file has no such unit.
+    Raise DocumentError, or Problem 422 if the file has no such unit.
     """
     document = await parse_apart(lambda: read_document(text, source))
     lone = document.units[0] if len(document.units) == 1 and from_unit is None else None
@@ -49,33 +49,33 @@ async def set_or_404(sets: Sets, set_id: int) -> ParameterSet:
 
 
 StoredSet = Annotated[ParameterSet, Depends(set_or_404)]
-"""The set of ``{set_id}`` in the path."""
+"""The set with the ``{set_id}`` of the path."""
 
 
 def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:
-    """Return the rows of one unit of a set. Raises Problem 404."""
+    """Return the rows of one unit of a set. Raise Problem 404 if it has none."""
     lacks = Message.of("set_lacks_unit", set=stored.id, unit=unit)
     return or_404(stored.unit(unit), "unknown_unit", lacks)
 
 
 async def restore_or_404(restores: Restores, restore_id: str) -> Restore:
-    """Return a restore that was begun, or a plan made since the server started. Raises Problem 404."""
+    """Return a begun restore, or a plan made since the server started. Raise Problem 404."""
     return or_404(await restores.find(restore_id), "unknown_restore", Message("no_such_restore"))
 
 
 KnownRestore = Annotated[Restore, Depends(restore_or_404)]
-"""The restore of ``{restore_id}`` in the path."""
+"""The restore with the ``{restore_id}`` of the path."""
 
 
 @dataclass(frozen=True, slots=True)
 class FormSource:
-    """What a form chooses: the ``text`` of a side, or an uploaded ``file``."""
+    """The source that a form names: the ``text`` of a side, or an uploaded ``file``."""
 
     text: str
     file: UploadFile | None
 
     async def uploaded(self, unit: int) -> UnitRows | None:
-        """Read the rows of the file for ``unit``, None without one. Raises DocumentError or Problem 422."""
+        """Read the file's rows for ``unit``; None without a file. Raise DocumentError or Problem 422."""
         if self.file is None:
             return None
         name = self.file.filename or THE_FILE
@@ -90,7 +90,7 @@ class FormSource:
 
 
 async def form_source(source: Annotated[str, Form()] = "", file: UploadFile | None = None) -> FormSource:
-    """Read the form. A browser sends a file field that was left empty without a name."""
+    """Read the form. A browser sends an empty file field as a file without a name."""
     return FormSource(source, file if file is not None and file.filename else None)
 
 
@@ -99,12 +99,12 @@ FILE_FORM: dict[str, Any] = {
     "max_body_size": MAX_BODY_BYTES,
     "form_limits": {"max_files": 1, "max_fields": 100},
 }
-"""Options of a route whose form has room for one file."""
+"""The options of a route whose form has room for one file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One side of a comparison. ``kind``: set, golden or live; ``source``: number of the set, or bus."""
+    """One side of a comparison. ``kind``: set, golden or live; ``source``: the set's number, or the bus."""
 
     kind: str
     source: str
@@ -114,10 +114,10 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class SideOption:
-    """A side that can be chosen, by its ``text``.
+    """A side that a person can choose by its ``text``.
 
-    ``name`` and ``group`` are those of the section, empty and None where it is not configured. ``taken_at``
-    is None for a live unit, and ``title`` and ``origin`` are empty.
+    ``name`` and ``group`` are those of the section, empty and None if the unit is not configured. For a live
+    unit ``taken_at`` is None, and ``title`` and ``origin`` are empty.
     """
 
     text: str
@@ -132,7 +132,7 @@ class SideOption:
 
 
 def choices(live: LiveState, sets: Sequence[ParameterSetSummary]) -> list[SideOption]:
-    """List every unit as last read, then every unit of every stored set, newest first."""
+    """List every unit as last read, then every unit of each stored set, newest set first."""
     units = {
         (bus, unit): one.settings for bus, line in live.buses.items() for unit, one in line.units.items()
     }
@@ -150,7 +150,7 @@ def choices(live: LiveState, sets: Sequence[ParameterSetSummary]) -> list[SideOp
 
 
 async def side(text: str, store: SetStore, live: LiveState) -> Side:
-    """Find the side that ``text`` names. Raises Problem 404 or 422."""
+    """Find the side that ``text`` names. Raise Problem 404 or 422."""
     kind, _, rest = text.partition(":")
     source, _, number = rest.rpartition(":")
     unit = parse_integer(number)
@@ -174,10 +174,10 @@ async def _rows(kind: str, source: str, unit: int, store: SetStore, live: LiveSt
 
 @dataclass(frozen=True, slots=True)
 class Offers:
-    """Sides that a unit can be restored from.
+    """The sides from which a unit can be restored.
 
-    ``own``: its sets, newest first; ``sisters``: the newest and the golden set of every other unit, those of
-    the same group first; ``neighbours``: the other units as they are now.
+    ``own``: the unit's sets, newest first; ``sisters``: the newest and the golden set of every other unit,
+    the units of the same group first; ``neighbours``: the other units as they are now.
     """
 
     own: list[SideOption]
@@ -186,17 +186,17 @@ class Offers:
 
     @property
     def golden(self) -> str:
-        """The golden set of the unit; empty without one."""
+        """The golden set of the unit; empty if it has none."""
         return next((choice.text for choice in self.own if choice.golden), "")
 
     @property
     def best(self) -> str:
-        """The golden set of the unit, else its newest; empty without any."""
+        """The golden set of the unit, else its newest set; empty if it has none."""
         return self.golden or next((choice.text for choice in self.own), "")
 
 
 def offers(live: LiveState, sets: Sequence[ParameterSetSummary], bus: str, unit: int) -> Offers:
-    """Find what ``unit`` can be restored from; ``sets`` newest first."""
+    """Return the sides from which ``unit`` can be restored; ``sets``: newest first."""
     group = live.buses[bus].units[unit].settings.group
     every = choices(live, sets)
     own = [one for one in every if one.taken_at is not None and (one.bus, one.unit) == (bus, unit)]

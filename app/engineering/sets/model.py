@@ -1,4 +1,4 @@
-"""Parameter sets: the parameters of one or several units as they were read, and how two of them differ."""
+"""Parameter sets: the parameters of units as they were read, and the differences between two sets."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ SetOrigin = Literal[
 
 @dataclass(frozen=True, slots=True)
 class ParameterRow:
-    """One parameter as a unit gave it: ``raw`` on the wire, when it was read, in which frame.
+    """One parameter as read from a unit: the ``raw`` value, the time, the frame.
 
-    ``raw`` is None where the unit does not have it (``available`` False), and where it was never read or is
-    masked as a secret.
+    ``raw`` is None if the unit does not have the parameter (``available`` False), if it was never read, and
+    if it is masked as a secret.
     """
 
     number: int
@@ -50,14 +50,14 @@ class ParameterRow:
 
 @dataclass(frozen=True, slots=True)
 class UnitRows:
-    """The parameters of one unit by number; ``unit`` is its address (#17), ``name`` its section."""
+    """The parameters of one unit, by number; ``unit``: its address (#17), ``name``: its section."""
 
     unit: int
     name: str
     rows: Mapping[int, ParameterRow]
 
     def raw(self, number: int) -> int | None:
-        """Return the raw value of one parameter, None where it is not known or not available."""
+        """Return the raw value of a parameter, None if it is not known or not available."""
         row = self.rows.get(number)
         return None if row is None else row.raw
 
@@ -87,7 +87,7 @@ class ParameterSetSummary(SetHead):
 
 @dataclass(frozen=True, slots=True)
 class ParameterSet:
-    """The parameters of units, saved together. It never changes once it is stored; ``id`` is 0 before."""
+    """The parameters of units, saved together. A stored set never changes; before that ``id`` is 0."""
 
     bus: str
     taken_at: UnixTime
@@ -100,7 +100,7 @@ class ParameterSet:
     golden_for: tuple[int, ...] = ()
 
     def unit(self, unit: int) -> UnitRows | None:
-        """Return the rows of one unit, None where the set lacks it."""
+        """Return the rows of one unit, None if the set lacks it."""
         return next((rows for rows in self.units if rows.unit == unit), None)
 
 
@@ -125,7 +125,7 @@ _DIFFERENCES: dict[int, str] = {
 
 @dataclass(frozen=True, slots=True)
 class ParameterDifference:
-    """One row of a comparison, as text and raw."""
+    """One row of a comparison, as text and as raw values."""
 
     number: Number
     name: str
@@ -148,24 +148,24 @@ def rows_of(values: Iterable[ParameterValue]) -> dict[int, ParameterRow]:
 
 
 def known_rows(unit: UnitLive) -> UnitRows:
-    """Return the values of a live unit as last read, each with the time of its reading."""
+    """Return the values of a live unit as last read, each with the time when it was."""
     return UnitRows(unit.settings.id, unit.settings.name, rows_of(unit.parameters.values()))
 
 
 def status_of(bus: BusLive, unit: UnitLive) -> StatusBits | None:
-    """Return the inputs and the mode of a unit as last read; None for one that does not respond."""
+    """Return a unit's inputs and mode as last read; None if it does not respond."""
     if unit.reading is None or unit.link.link in ("unknown", "offline"):
         return None
     return status_bits(unit.reading.outputs, unit.reading.inputs, bus.settings.estop_healthy)
 
 
 def compare(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[ParameterDifference]:
-    """Compare all 40 rows; ``left`` is the reference. ``tolerance``: raw counts that still pass as equal."""
+    """Compare all 40 rows with ``left`` as the reference. ``tolerance``: raw counts that count as equal."""
     return [_compare_row(parameter, left, right, tolerance) for parameter in PARAMETERS.values()]
 
 
 def differences(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[ParameterDifference]:
-    """Return the rows that are known to differ, including those that only one of the two has."""
+    """Return the rows that are known to differ, including rows that only one side has."""
     return [row for row in compare(left, right, tolerance) if row.kind in ("differs", "unavailable")]
 
 
@@ -184,7 +184,7 @@ def _compare_row(
 
 
 def meaning(number: int, old: Message, new: Message) -> Message:
-    """State what it means that a parameter is ``new`` instead of ``old``."""
+    """Return a message of what it means that a parameter is ``new`` instead of ``old``."""
     if PARAMETERS[number].secret:
         return Message("differs_secret")
     return Message(_DIFFERENCES.get(number, "differs"), {"old": old, "new": new})
@@ -201,7 +201,7 @@ def _kind(left: ParameterRow | None, right: ParameterRow | None, tolerance: int)
 
 
 def row_message(parameter: Parameter, rows: UnitRows) -> Message:
-    """Show a row in its unit of measure, a secret masked, a missing one marked."""
+    """Return a row as text with its unit of measure; a secret is masked, a missing row marked."""
     row = rows.rows.get(parameter.number)
     if row is not None and not row.available:
         return Message("value_not_in_unit")
@@ -213,7 +213,7 @@ def row_message(parameter: Parameter, rows: UnitRows) -> Message:
 
 
 def with_unit(parameter: Parameter, raw: int, rows: UnitRows) -> Message:
-    """Show a raw value by the decimals (#3) and the mode (#8) in ``rows``: ``50`` of #6 is ``5.0 s``."""
+    """Return a raw value as text by #3 and #8 of ``rows``, with its measure: ``50`` of #6 is ``5.0 s``."""
     if raw in parameter.choices:
         return term(parameter.choices[raw])
     follower, unit = is_follower(rows.raw(FOLLOWER_MODE)), parameter_unit(parameter)

@@ -1,5 +1,5 @@
-"""The pages of parameter sets: the list, one set, a comparison, the drift of a unit, and a restore: choose a
-set, review each row, follow the writes, read what a full read found."""
+"""The pages of parameter sets: the list, one set, a comparison, the drift of a unit, and a restore (choose a
+set, review each row, follow the writes, read the result)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ DIFFERENT = ("differs", "unavailable")
 _TIME_OF_DAY = re.compile(r"([01]?[0-9]|2[0-3]):([0-5][0-9])")
 MAX_SEARCHED = 80
 MAX_LISTED = 100
-"""Sets on one page of the list; each day of a line with a schedule adds some."""
+"""The sets on one page of the list; a schedule adds some every day."""
 
 
 @router.get("/sets")
@@ -66,8 +66,8 @@ async def list_page(
     search: Annotated[TypedText, Query(max_length=MAX_SEARCHED)] = "",
     saved: str = "",
 ) -> Response:
-    """List the newest sets, or those before one, by bus, unit and a text, with what saves one. ``saved``: the
-    bus whose schedule was just saved."""
+    """List the newest sets, or those before one, by bus, unit and text, with the forms that save a set.
+    ``saved``: the bus whose schedule was just saved."""
     return await _list(request, sets, live, bus, unit, before, search.strip(), saved=saved)
 
 
@@ -84,7 +84,7 @@ async def _list(
     refused: str = "",
     typed_at: str = "",
 ) -> Response:
-    """Show the page; ``refused``: the bus whose schedule does not take what was typed as its time."""
+    """Show the list of sets; ``refused``: the bus whose schedule does not take the time ``typed_at``."""
     found = await sets.summaries(bus or None, unit, before=before, text=typed, limit=MAX_LISTED + 1)
     return render(
         request,
@@ -106,7 +106,7 @@ async def _list(
 
 
 def _ranges(live: LiveState, bus: str, units: Iterable[int]) -> str:
-    """Name the units of a set as they are called now."""
+    """Name the units of a set by their present names."""
     known = live.buses[bus].settings.unit if bus in live.buses else []
     return ", ".join(unit_ranges(units, {unit.id: unit.name for unit in known}))
 
@@ -123,7 +123,7 @@ async def begin_reading(
     comment: Annotated[Lines, Form(max_length=1000)] = "",
     golden: Annotated[bool, Form()] = False,
 ) -> Response:
-    """Begin to read the units, or all of the bus if none is chosen."""
+    """Begin to read the chosen units, or all units of the bus if none is chosen."""
     units = unit or list(bus_or_404(live, bus).units)
     for number in units:
         unit_or_404(live, bus, number)
@@ -136,7 +136,7 @@ async def begin_reading(
 async def taking_page(
     request: Request, _: Viewer, readings: Readings, live: Live, taking_id: str
 ) -> Response:
-    """Show how many values were read, and the result of each unit."""
+    """Show the number of values read so far, and the result of each unit."""
     taking = or_404(readings.get(taking_id), "unknown_taking", Message("no_such_taking"))
     return render(
         request,
@@ -157,7 +157,7 @@ async def set_schedule(
     bus: Annotated[str, Form()],
     at: Annotated[OneLine, Form(max_length=20)] = "",
 ) -> Response:
-    """Save a bus daily at a time of the day, or no longer (empty)."""
+    """Save a bus daily at a time of the day; an empty time ends this."""
     schedule, typed = bus_service_of(request, bus, SetSchedule), _TIME_OF_DAY.fullmatch(at.strip())
     if typed is None and at.strip():
         return await _list(request, sets, live, refused=bus, typed_at=at)
@@ -176,7 +176,7 @@ async def compare_page(
     tolerance: int = 0,
     everything: bool = False,
 ) -> Response:
-    """Compare two sides row by row, with equal rows on request, and offer the sides."""
+    """Compare two sides row by row, equal rows only on request, and offer the sides."""
     left = left or _golden_beside(request, live, right)
     one = await side(left, sets, live) if left else None
     other = await side(right, sets, live) if right else None
@@ -200,7 +200,7 @@ async def compare_page(
 
 
 def _golden_beside(request: Request, live: LiveState, right: str) -> str:
-    """Return the golden set of the unit whose present values are one side; empty without one."""
+    """Return the golden set of the unit that ``right`` names; empty if it has none."""
     kind, _, place = right.partition(":")
     bus, _, unit = place.rpartition(":")
     if kind != "live" or bus not in live.buses or not unit.isdecimal():
@@ -210,7 +210,7 @@ def _golden_beside(request: Request, live: LiveState, right: str) -> str:
 
 @router.get("/sets/{set_id}")
 async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, stored: StoredSet) -> Response:
-    """Show a stored set, each value with its evidence."""
+    """Show a stored set, each value with the frame that proves it."""
     others = await sets.summaries(stored.bus)
     return render(
         request,
@@ -230,7 +230,7 @@ async def golden(
     stored: StoredSet,
     unit: Annotated[int, Form()],
 ) -> Response:
-    """Make the set the golden set of a unit."""
+    """Make the stored set the golden set of a unit."""
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, [unit])
     return RedirectResponse(f"/sets/{stored.id}", 303)
 
@@ -239,7 +239,7 @@ async def golden(
 async def drift_fragment(
     request: Request, _: Viewer, drift: Drift, sets: Sets, live: Live, bus: str, unit: int
 ) -> Response:
-    """Show where the unit differs from its golden set, and who changed it."""
+    """Show the parameters in which the unit differs from its golden set, and who changed them."""
     unit_or_404(live, bus, unit)
     marked = (one for one in await sets.summaries(bus, unit) if unit in one.golden_for)
     return render(
@@ -258,13 +258,13 @@ _TO = "\N{EN DASH}"
 
 
 def unit_ranges(units: Iterable[int], names: Mapping[int, str]) -> list[str]:
-    """Name units by ranges, as in ``["1 Unwind", "4-11 Dryer 1-8"]``, with en dashes; a removed unit has its
-    address only."""
+    """Name units by ranges with en dashes, as in ``["1 Unwind", "4-11 Dryer 1-8"]``; a removed unit only has
+    its address."""
     return [_range_text(first, last, names) for first, last in _runs(sorted(units))]
 
 
 def _runs(units: list[int]) -> Iterator[tuple[int, int]]:
-    """Return the first and the last address of each run."""
+    """Return the first and the last address of each run of addresses."""
     starts = [unit for at, unit in enumerate(units) if at == 0 or units[at - 1] != unit - 1]
     ends = [unit for at, unit in enumerate(units) if at == len(units) - 1 or units[at + 1] != unit + 1]
     return zip(starts, ends, strict=True)
@@ -278,7 +278,7 @@ def _range_text(first: int, last: int, names: Mapping[int, str]) -> str:
 
 
 def _joined(begin: str, end: str, apart: int) -> str:
-    """Join two names; if their numbers are as far apart as their addresses, with the words once."""
+    """Join two names; say the words once if their numbers are as far ``apart`` as the addresses."""
     if not begin or not end:
         return ""
     (word, _, low), (other, _, high) = begin.rpartition(" "), end.rpartition(" ")
@@ -293,7 +293,7 @@ Ticks = Annotated[list[int] | None, Form()]
 async def restore_page(
     request: Request, _: Planner, sets: Sets, restores: Restores, live: Live, bus: str, unit: int
 ) -> Response:
-    """Offer the sets that the unit can be restored from, and its earlier restores."""
+    """Offer the sets from which the unit can be restored, and its earlier restores."""
     live_unit = unit_or_404(live, bus, unit)
     return render(
         request,
@@ -336,7 +336,7 @@ async def restore_progress(request: Request, _: Planner, restore: KnownRestore) 
         PARAMETERS=PARAMETERS,
     )
     if restore.state != "running":
-        # The state has changed, and the buttons with it: render the complete part again.
+        # The state, and with it the buttons, have changed: render the complete part.
         response.headers["HX-Retarget"] = response.headers["HX-Reselect"] = "#restore"
     return response
 
@@ -352,7 +352,7 @@ async def confirm_dangerous(
 
 @router.post("/restores/{restore_id}/again")
 async def plan_again(person: Planner, restores: Restores, live: Live, old: KnownRestore) -> Response:
-    """Plan a restore again: the done rows are equal now, the rest is reviewed."""
+    """Plan a restore again: rows that were written are equal now, the rest is reviewed."""
     deselected = frozenset(left.number for left in old.left_out if left.reason == "deselected")
     return await _planned_again(person, restores, live, old, Selection(exclude=deselected))
 
@@ -379,14 +379,14 @@ async def start(
 async def cancel(
     person: Annotated[Person, CANCEL.permitted], restores: Restores, restore: KnownRestore
 ) -> Response:
-    """Stop after the current row."""
+    """Stop a restore after its current row."""
     restores.cancel(person, restore)
     return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
 def ticked(restore: Restore, rows: frozenset[int]) -> Selection:
-    """Return the choice that a person made in a review. Raises Problem 422 for no row, and for a row that was
-    not in the review."""
+    """Return the selection that a person made in a review. Raise Problem 422 for no row, and for a row that
+    the review did not have."""
     reviewed = frozenset(write.number for write in restore.plan.writes)
     reviewed |= frozenset(write.number for write, _ in restore.offered)
     if not rows:

@@ -1,4 +1,4 @@
-"""Restores over HTTP: planned, started, followed; with their schemas. The value of #21 is never shown."""
+"""The HTTP API of restores: plan, start, follow; and its schemas. The value of #21 is never shown."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ class RestoreOmission(RestoreValues):
 
 
 class RestoreShown(TypedDict):
-    """A restore: its plan, its progress, and the result of the full read afterwards. In state ``equal``
-    the unit equals the set in all rows selected."""
+    """A restore: its plan, its progress, and the result of the full read at its end. In the state ``equal``
+    the unit equals the set in all selected rows."""
 
     id: str
     bus: str
@@ -116,7 +116,7 @@ class RestoreShown(TypedDict):
 
 
 def rows_to_write(restore: Restore) -> list[RestoreRow]:
-    """Show the rows that are written and, in a plan, those that can still be chosen."""
+    """Return the rows that are written and, in a plan, those that can still be chosen."""
     offered = restore.offered if restore.state == "planned" else []
     chosen = [_row(restore, row, None) for row in restore.rows]
     return chosen + [_row(restore, RowResult(write), left) for write, left in offered]
@@ -201,8 +201,8 @@ Excluded = Annotated[Numbers, Field(description="rows not to write")]
 
 
 class RestoreRequest(StrictBody):
-    """The source of a restore: a stored set, or a TOML document with one unit (or with this one).
-    ``ticked``: dangerous rows (#18, #19, #27) to write, each confirmed by its number."""
+    """The source of a restore: a stored set, or a TOML document with one unit (or with this one). ``ticked``:
+    the dangerous rows (#18, #19, #27) to write, each confirmed by its number."""
 
     set: int | None = None
     document: str | None = None
@@ -213,7 +213,7 @@ class RestoreRequest(StrictBody):
 
 
 class StartRestoreRequest(StrictBody):
-    """Another choice of rows than the plan was made with; a member left out or null stays as planned."""
+    """Another selection of rows than that of the plan; a member that is left out or null stays as planned."""
 
     include: Included | None = None
     exclude: Excluded | None = None
@@ -262,7 +262,7 @@ async def start_restore(
 async def cancel_restore(
     person: Annotated[Person, CANCEL.permitted], restores: Restores, restore: KnownRestore
 ) -> RestoreShown:
-    """Stop after the current row."""
+    """Stop a restore after its current row."""
     restores.cancel(person, restore)
     return _restore_json(restore)
 
@@ -274,7 +274,7 @@ async def get_restore(_: Viewer, restore: KnownRestore) -> RestoreShown:
 
 
 async def _wanted_rows(sets: Sets, unit: int, wanted: RestoreRequest) -> UnitRows:
-    """Return the rows that the unit shall have. Raises Problem 422 or 404."""
+    """Return the rows that the unit shall have. Raise Problem 422 or 404."""
     if (wanted.set is None) == (wanted.document is None):
         raise Problem(422, "invalid", Message("set_or_document"))
     if wanted.set is not None:

@@ -1,9 +1,9 @@
-"""A restore of one unit: what it writes, in which order, what that does to the machine, how it went. Pure.
+"""Restores of one unit: the writes, their order, their effect on the machine, their results. Pure.
 
-The rows are ordered so that no state on the way is worse than the first or the last. Each row takes effect
-at once, so a unit runs for a moment on a mixture of old and new values. Bounds are widened before the values
-that they bound, and narrowed after them. What slows a running unit comes before what makes it faster: on the
-way it is never faster than before or afterwards.
+The order makes no state on the way worse than the first or the last. Each row takes effect at once, so a unit
+runs for a moment on a mixture of old and new values. Bounds are widened before the values that they bound,
+and narrowed after them. Writes that slow a running unit come before those that make it faster: on the way it
+is never faster than both before and afterwards.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ Effect = Literal[
 ]
 
 OPERATING_VALUES = frozenset({numbers.SPEED_SETPOINT, numbers.RATIO_SETPOINT})
-"""The setpoints. Operators change them every shift: they are no drift, and a restore writes one only when it
-is selected by name."""
+"""The setpoints. Operators change them every shift: they do not count as drift, and a restore writes one only
+if it is selected by name."""
 
 _PARAMETERS: Mapping[Effect, Collection[int]] = {
     "setpoint": OPERATING_VALUES,
@@ -45,7 +45,7 @@ _PARAMETERS: Mapping[Effect, Collection[int]] = {
     "ratio_limit": (numbers.MAX_RATIO, numbers.MIN_RATIO),
     "meaning": (numbers.DECIMALS, numbers.FOLLOWER_MODE),
     "analog_output": (numbers.ANALOG_OUT_SOURCE, numbers.ANALOG_OUT_LOW, numbers.ANALOG_OUT_HIGH),
-    # The manual names these and does not explain them (4.0); inputs and trim may act on the speed.
+    # The manual names these without explaining them (4.0); inputs and trim may change the speed.
     "unknown": (
         *(numbers.FREEZE_MODE, numbers.ANALOG_IN_TRIM, numbers.INSTALLED_OPTION),
         *(numbers.PRESET_INPUT_MODE, numbers.REVERSE_INPUT_MODE),
@@ -55,7 +55,7 @@ _PARAMETERS: Mapping[Effect, Collection[int]] = {
 EFFECTS: Mapping[int, Effect] = {
     number: effect for effect, affecting in _PARAMETERS.items() for number in affecting
 }
-"""The effect on a running unit by number; a parameter that is not listed changes nothing at the machine."""
+"""The effect on a running unit by number; a parameter that is not listed has none."""
 
 NO_RAMP = Message("effect_no_ramp")
 
@@ -65,9 +65,9 @@ def effect_message(effect: Effect) -> Message:
 
 
 def warning_of(number: int, raw: int, *, running: bool | None) -> Message | None:
-    """Return what a person must know before ``raw`` is written, if it affects the machine.
+    """Return the warning that a person must see before ``raw`` is written; None if it has no effect.
 
-    ``running``: the Run input of the unit; None, where it is not known, counts as running.
+    ``running``: the Run input of the unit; None (not known) counts as running.
     """
     effect = EFFECTS.get(number)
     if effect == "ramp" and raw == 0:
@@ -78,12 +78,12 @@ def warning_of(number: int, raw: int, *, running: bool | None) -> Message | None
 
 
 INVERSE_FOLLOWER = 2
-"""Value of #8 of a unit that slows down as its ratio goes up (manual, 4.0)."""
+"""The value of #8 for a unit that slows down as its ratio rises (manual, 4.0)."""
 _MEANING = (numbers.DECIMALS, numbers.FOLLOWER_MODE)
 _ENDS_TALK = (numbers.PASSWORD, numbers.PROTOCOL, numbers.BAUD_RATE, numbers.CONTROL_MODE)
-"""Rows after which the unit may not respond any more; they come last."""
+"""The rows after which the unit may no longer respond; they come last."""
 _BOUNDS = ((numbers.ANALOG_IN_LOW, numbers.ANALOG_IN_HIGH), (numbers.ANALOG_OUT_LOW, numbers.ANALOG_OUT_HIGH))
-"""Pairs (low, high) that bound each other and nothing else."""
+"""The pairs (low, high) that bound each other and nothing else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class Write:
 
     @property
     def up(self) -> bool:
-        """Tell whether the value grows."""
+        """Whether the value grows."""
         return self.wanted > self.present
 
 
@@ -124,15 +124,15 @@ _STEPS: Mapping[int, tuple[_Step, _Step]] = {
     ),
     numbers.JUMP_DOWN: (_Step.SLOWER, _Step.FASTER),
 }
-"""By number the step of a value that grows, and of one that falls.
+"""The step of a value that grows, and of one that falls, by number.
 
-The motor speed is the setpoint * #1 / #2 by the pulses of #5; in a follower that of the master * #4 * #37.
-#2 is among the bounds. #9 to #11 take the place of the setpoint, or move it, while their inputs are on.
+The motor speed is the setpoint * #1 / #2 by the pulses of #5; in a follower that of the master * #4 * #37. #2
+is one of the bounds. #9 to #11 replace or move the setpoint while their inputs are on.
 """
 
 
 def in_order(writes: Iterable[Write], *, mode: int | None) -> tuple[Write, ...]:
-    """Order the writes. ``mode``: #8 of the unit now, None where it is not known."""
+    """Put writes in order. ``mode``: #8 of the unit now, None if it is not known."""
     ordered = sorted(writes, key=lambda write: _rank(write, mode))
     for low, high in _BOUNDS:
         _widen_first(ordered, low, high)
@@ -153,7 +153,7 @@ def _rank(write: Write, mode: int | None) -> tuple[_Step, int]:
 
 
 def _widen_first(ordered: list[Write], low: int, high: int) -> None:
-    """Exchange two writes where low would be above high between them."""
+    """Exchange two writes if low would be above high between them."""
     at = {write.number: index for index, write in enumerate(ordered) if write.number in (low, high)}
     if len(at) < 2:
         return
@@ -168,7 +168,7 @@ def _widen_first(ordered: list[Write], low: int, high: int) -> None:
 class Selection:
     """The rows that a person selected, by number.
 
-    ``include``: rows that are left out unless named; ``exclude``: rows not to write; ``confirmed``: dangerous
+    ``include``: rows that are written only if named; ``exclude``: rows not to write; ``confirmed``: dangerous
     rows to write, each confirmed separately. Raises Problem 422 for a row that is both named and excluded.
     """
 
@@ -182,15 +182,15 @@ class Selection:
             raise Problem(422, "invalid", Message.of("row_included_and_excluded", number=both[0]))
 
     def choosing(self, include: frozenset[int], exclude: frozenset[int]) -> Selection:
-        """Return another choice of rows; confirmed rows stay confirmed unless they are excluded now."""
+        """Return another selection; confirmed rows stay confirmed unless they are now excluded."""
         return replace(self, include=include, exclude=exclude, confirmed=self.confirmed - exclude)
 
 
 EVERYTHING_HARMLESS = Selection()
-"""All rows but setpoints and dangerous ones."""
+"""All rows except setpoints and dangerous rows."""
 
 _REMOTE = 1
-"""Value of #19 of a unit that takes writes (manual, 4.0)."""
+"""The value of #19 of a unit that takes writes (manual, 4.0)."""
 
 Reason = Literal[
     "address",
@@ -205,15 +205,15 @@ Reason = Literal[
     "operating_value",
     "deselected",
 ]
-"""Why a row is left out, for programs."""
+"""The reason why a row is left out, for programs."""
 CHOSEN: frozenset[Reason] = frozenset({"operating_value", "deselected"})
-"""Reasons that a person can change by choosing the row."""
+"""The reasons that a person can remove by choosing the row."""
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A row that differs or may differ and is not written; ``text`` says why. ``reason`` is None in a restore
-    that a former version stored."""
+    """A row that differs or may differ and is not written; ``text`` is the reason for people. ``reason`` is
+    None in a restore that a former version stored."""
 
     number: int
     reason: Reason | None
@@ -221,13 +221,13 @@ class LeftOut:
 
     @property
     def later(self) -> bool:
-        """Tell whether the same restore writes it once a person has set the unit to REMOTE at its keypad."""
+        """Whether the same restore writes the row once a person has set the unit to REMOTE at its keypad."""
         return self.reason == "not_in_remote"
 
 
 @dataclass(frozen=True, slots=True)
 class RestorePlan:
-    """The rows that a restore writes, in order, those that it leaves out, and the number of equal rows."""
+    """The rows that a restore writes, in order, the rows that it leaves out, and the number of equal rows."""
 
     writes: tuple[Write, ...]
     left_out: tuple[LeftOut, ...]
@@ -244,8 +244,8 @@ def plan_restore(
 ) -> RestorePlan:
     """Plan the writes that make ``present`` equal ``wanted``.
 
-    ``running``: the Run input of the unit; None, where it is not known, counts as running. ``remote``:
-    whether its status is REMOTE; None, where it is not known, leaves it to #19.
+    ``running``: the Run input of the unit; None (not known) counts as running. ``remote``: whether the status
+    of the unit is REMOTE; if None (not known), #19 decides.
     """
     writes: list[Write] = []
     left_out: list[LeftOut] = []
@@ -268,9 +268,9 @@ def plan_restore(
 
 
 def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
-    """Raise Problem 409 ``dangerous`` or 422 ``invalid`` for a row that was selected and cannot be written.
+    """Raise Problem 409 ``dangerous`` or 422 ``invalid`` for a selected row that cannot be written.
 
-    A unit that is not in REMOTE refuses every row; the plan says so instead.
+    A unit that is not in REMOTE refuses every row; the plan states that instead.
     """
     for left in plan.left_out:
         if left.number not in selection.include or left.later:
@@ -282,7 +282,7 @@ def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
 
 
 def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool) -> LeftOut | None:
-    """Return the reason why a row that differs cannot be written, even if selected."""
+    """Return the reason why a differing row cannot be written, even if selected."""
     parameter = PARAMETERS[number]
     there, target = present.rows.get(number), wanted.rows.get(number)
     if parameter.never_writable:
@@ -334,7 +334,7 @@ _ACCOUNT: dict[str, tuple[Outcome | None, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class RowResult:
-    """One row of the plan and, once tried or given up, its outcome."""
+    """One row of the plan and its outcome, once it was tried or given up."""
 
     write: Write
     outcome: Outcome | None = None
@@ -346,9 +346,9 @@ class RowResult:
 class Restore:
     """A restore from its plan to its end.
 
-    ``wanted``: the requested rows; ``before``: the unit's values; ``proven``: those of the full read at the
-    end. ``running``, ``remote``: the Run input and REMOTE when it was planned, None where not known.
-    ``cause``, ``cause_code``: why it stopped, for people and programs.
+    ``wanted``: the requested rows; ``before``: the unit's values; ``proven``: the values of the full read at
+    the end. ``running``, ``remote``: the Run input and REMOTE at the time of the plan, None if not known.
+    ``cause``, ``cause_code``: the reason why it stopped, for people and for programs.
     """
 
     id: str
@@ -368,7 +368,7 @@ class Restore:
     running: bool | None = None
     remote: bool | None = None
     cancelled_by: str = ""
-    """The user who stopped it after the current row."""
+    """The user who stopped the restore after its current row."""
     for_swap: bool = False
     """Whether the unit is a spare that replaces another."""
 
@@ -379,7 +379,7 @@ class Restore:
 
     @property
     def offered(self) -> list[tuple[Write, LeftOut]]:
-        """The rows that a person may still choose to write, with the reason why they are left out."""
+        """The rows that a person may still choose to write, with the reason why each is left out."""
         return [
             (Write(left.number, present, wanted), left)
             for left in self.left_out
@@ -399,14 +399,14 @@ class Restore:
 
     @property
     def remaining(self) -> list[ParameterDifference] | None:
-        """The rows that still differ by the full read, without those that cannot be written at all."""
+        """The rows that still differ by the full read, except those that cannot be written at all."""
         if self.proven is None:
             return None
         never = {left.number for left in self.left_out if not left.later}
         return [row for row in differences(self.wanted, self.proven) if row.number not in never]
 
     def stop(self, code: str, cause: Message) -> None:
-        """End the restore early: every row without an outcome was not sent."""
+        """End the restore early; each row without an outcome becomes ``not_sent``."""
         self.state, self.cause_code, self.cause = "stopped", code, cause
         self.rows = [row if row.outcome else replace(row, outcome="not_sent") for row in self.rows]
 
@@ -426,9 +426,9 @@ MAY_RUN = Message("restore_may_run")
 def remarks(
     wanted: UnitRows, present: UnitRows, *, running: bool | None, writes: Iterable[Write]
 ) -> list[Message]:
-    """Warn of a machine that runs, and of a set from another unit or another type of section.
+    """Return warnings of a machine that runs, and of a set from another unit or type of section.
 
-    ``running``: the Run input of the unit, None where it is not known.
+    ``running``: the Run input of the unit, None if it is not known.
     """
     found: list[Message] = []
     warnings = (warning_of(write.number, write.wanted, running=running) for write in writes)

@@ -1,7 +1,7 @@
-"""Restores: planned, reviewed, started, and stored with the outcome of each row.
+"""The service of restores: plan, review, start, and store the outcome of each row.
 
-Nothing is written before a person has seen the plan. However a restore is stopped, its rows state what was
-done; the same restore again finds the done rows equal and writes the rest.
+Nothing is written before a person has seen the plan. However a restore is stopped, its rows state their
+outcome; the same restore again finds the finished rows equal and writes the rest.
 """
 
 from __future__ import annotations
@@ -47,34 +47,34 @@ from bus.messages import Message, joined, term
 PLAN = Act("plan_restore", WRITE_PARAMETER.role, "restore", "event_restored")
 START = Act("start_restore", WRITE_PARAMETER.role, "restore", "event_restored")
 CANCEL = Act("cancel_restore", WRITE_PARAMETER.role, "restore", "event_restored")
-"""A restore writes parameters and needs the role for that; it is recorded once, when it has ended."""
+"""A restore writes parameters and needs the role for that; its end is recorded as one event."""
 _NOT_KEPT = -1
-"""Takes the place of a secret (#21), which only parameter sets hold: no raw value is negative."""
+"""The stored stand-in for a secret (#21), which only parameter sets hold: no raw value is negative."""
 _MAX_OF_UNIT = 20
-"""Earlier restores that the page of a unit lists."""
+"""The earlier restores that the page of a unit lists."""
 _MAX_ENDED = 50
-"""Plans and ended restores that are kept in memory."""
+"""The plans and ended restores that are kept in memory."""
 _SAVE = upsert("restore", ("id",), ("bus", "unit", "planned_at", "state", "content"))
 _DECODER = msgspec.json.Decoder(Restore)
 
 
 class RestoreStore(Tables):
-    """The table of restores, each without secrets. A plan that was not begun is not stored."""
+    """The table of restores, stored without secrets. A plan that was not begun is not stored."""
 
     async def save(self, restore: Restore) -> None:
-        """Store the present state of a restore in place of the earlier one."""
+        """Store the present state of a restore instead of the earlier one."""
         content = msgspec.json.encode(_without_secrets(restore)).decode()
         row = (restore.id, restore.bus, restore.unit, restore.planned_at, restore.state, content)
         await self.database.write(lambda connection: connection.execute(_SAVE, row))
 
     @reading
     def load(self, connection: StoreConnection, restore_id: str) -> Restore | None:
-        """Return a restore that was begun, if it exists."""
+        """Return a restore that was begun, None if there is no such."""
         return next(_select(connection, "id = ?", restore_id), None)
 
     @reading
     def under_way(self, connection: StoreConnection) -> list[Restore]:
-        """Return the restores that had not ended when the server did."""
+        """Return the restores that were under way when the server ended."""
         marks = ", ".join("?" * len(UNDER_WAY))
         return list(_select(connection, f"state IN ({marks})", *UNDER_WAY))
 
@@ -86,7 +86,7 @@ class RestoreStore(Tables):
 
 
 def _select(connection: StoreConnection, which: str, *values: str | int) -> Iterator[Restore]:
-    """Decode the stored restores; content that cannot be read, which nothing here writes, is left out."""
+    """Decode stored restores; leave out content that cannot be read (nothing here writes such)."""
     for (content,) in connection.execute(f"SELECT content FROM restore WHERE {which}", values).fetchall():
         try:
             yield _DECODER.decode(content)
@@ -114,7 +114,7 @@ def _row_without_secret(row: RowResult) -> RowResult:
 
 
 def _values_without_secrets(values: UnitRows) -> UnitRows:
-    """Leave out secrets, and the frames, which hold them too."""
+    """Remove secrets, and the frames, which contain them too."""
     rows = {
         number: replace(row, raw=None if PARAMETERS[number].secret else row.raw, frame=b"")
         for number, row in values.rows.items()
@@ -124,13 +124,12 @@ def _values_without_secrets(values: UnitRows) -> UnitRows:
 
 EndSubscriber = Callable[[Restore], Awaitable[None]]
 _STOPS = frozenset({"unverified", "not_sent", "bus_closed"})
-"""Outcomes of a row after which the next rows cannot be expected to do better."""
+"""The outcomes of a row after which the next rows would hardly do better."""
 _log = structlog.get_logger(__name__)
 
 
 class RestoreService:
-    """The service that plans restores, runs them one at a time for each unit, and remembers how they went,
-    also on disk."""
+    """The service that plans restores, runs at most one for each unit, and remembers them, also on disk."""
 
     def __init__(
         self,
@@ -152,7 +151,7 @@ class RestoreService:
         self._end_subscribers.append(subscriber)
 
     async def find(self, restore_id: str) -> Restore | None:
-        """Return a restore that was begun at any time, or planned since the server started."""
+        """Return a begun restore, or a plan made since the server started."""
         return self._restores.get(restore_id) or await self._store.load(restore_id)
 
     async def of_unit(self, bus: str, unit: int) -> list[Restore]:
@@ -160,7 +159,7 @@ class RestoreService:
         return [self._restores.get(begun.id, begun) for begun in await self._store.of_unit(bus, unit)]
 
     async def load(self) -> None:
-        """Mark the restores that were under way when the server ended as stopped."""
+        """Mark as stopped the restores that were under way when the server ended."""
         for restore in await self._store.under_way():
             restore.stop("server_ended", Message("restore_under_way_at_end"))
             await self._store.save(restore)
@@ -176,9 +175,9 @@ class RestoreService:
         *,
         for_swap: bool = False,
     ) -> Restore:
-        """Read the unit now and plan the writes; nothing is written. ``for_swap``: the unit is a spare.
+        """Read the unit now and plan the writes; write nothing. ``for_swap``: the unit is a spare.
 
-        Raises Problem 503 or 504 when the unit cannot be read, 409 ``dangerous`` or 422 ``invalid`` for a row
+        Raise Problem 503 or 504 if the unit cannot be read, 409 ``dangerous`` or 422 ``invalid`` for a row
         that the selection includes and that cannot be written.
         """
         PLAN.check(person)
@@ -204,13 +203,13 @@ class RestoreService:
         return restore
 
     def select(self, person: Person, restore: Restore, selection: Selection) -> None:
-        """Choose other rows of a plan that has not begun. Raises Problem as :meth:`plan` does."""
+        """Choose other rows of a plan that has not begun. Raise Problem as :meth:`plan` does."""
         PLAN.check(person)
         _refuse_begun(restore)
         _choose(restore, selection)
 
     def start(self, person: Person, restore: Restore) -> None:
-        """Begin writing. Raises Problem 409 when it has begun already or its unit is being restored."""
+        """Begin writing. Raise Problem 409 if this was begun before or the unit is being restored."""
         START.check(person)
         _refuse_begun(restore)
         place, others = (restore.bus, restore.unit), self._restores.values()
@@ -220,7 +219,7 @@ class RestoreService:
         self.background.begin(self._run(person, restore), f"restore {restore.id}")
 
     def cancel(self, person: Person, restore: Restore) -> None:
-        """Stop a restore after the current row."""
+        """Stop a restore after its current row."""
         CANCEL.check(person)
         restore.cancelled_by = person.name
 
@@ -241,7 +240,7 @@ class RestoreService:
             await self._end(restore)
 
     async def _carry_out(self, person: Person, restore: Restore) -> None:
-        """Write the reviewed rows and compare a full read with the set. Raises Problem for what stops it."""
+        """Write the reviewed rows and compare a full read with the set. Raise Problem if that fails."""
         await self._store.save(restore)
         reader = self._readers[restore.bus]
         await self._check_review(person, restore)
@@ -252,7 +251,7 @@ class RestoreService:
         restore.state = "different" if restore.remaining else "equal"
 
     async def _check_review(self, person: Person, restore: Restore) -> None:
-        """Raise Problem where a plan with the present values of the unit has other rows than the review."""
+        """Raise Problem if a plan with the unit's present values has other rows than the review."""
         if not restore.rows:
             return
         reader = self._readers[restore.bus]
@@ -265,7 +264,7 @@ class RestoreService:
             raise Problem(409, "moved", Message("unit_changed_since_review"))
 
     async def _write_row(self, person: Person, restore: Restore, place: int) -> None:
-        """Write one row and store its outcome. Raises Problem for what stops the restore."""
+        """Write one row and store its outcome. Raise Problem if it stops the restore."""
         rows, row = restore.rows, restore.rows[place]
         if restore.cancelled_by:
             who, done = restore.cancelled_by, restore.done
@@ -273,7 +272,7 @@ class RestoreService:
         if self._would_surprise(restore, row.write):
             raise Problem(409, "moved", Message("unit_started_since_review"))
         unverified = replace(row, outcome="unverified", message=Message("row_in_doubt"))
-        # Should nothing more be stored, the row counts as unverified.
+        # If nothing more gets stored, the row counts as unverified.
         await self._store.save(replace(restore, rows=[*rows[:place], unverified, *rows[place + 1 :]]))
         try:
             rows[place] = await self._send(person, restore, row)
@@ -292,7 +291,7 @@ class RestoreService:
         try:
             result = await self._commands[restore.bus].send(person, action, confirm=True, origin="restore")
         except Problem as problem:
-            # Any other refusal concerns the other rows too.
+            # Any other refusal would also meet the other rows.
             if problem.code != "invalid":
                 raise
             return replace(row, outcome="invalid", message=problem.message)
@@ -302,7 +301,7 @@ class RestoreService:
         return replace(row, outcome=result.outcome, message=message, read_back=result.read_back)
 
     def _would_surprise(self, restore: Restore, write: Write) -> bool:
-        """Tell whether a row changes what the unit does, which runs now and did not when it was reviewed."""
+        """Return whether a row affects the machine and the unit, which runs now, did not at the review."""
         runs, _ = self._readers[restore.bus].motion(restore.unit)
         if not runs or restore.running is not False:
             return False
@@ -351,7 +350,7 @@ def _refuse_begun(restore: Restore) -> None:
 
 
 def _refuse_next(row: RowResult) -> None:
-    """Raise Problem 503 or 504 where the outcome of a row stops the restore."""
+    """Raise Problem 503 or 504 if the outcome of a row stops the restore."""
     if row.outcome is None or row.outcome not in _STOPS:
         return
     status = 504 if row.outcome == "unverified" else 503

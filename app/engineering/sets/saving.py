@@ -1,4 +1,4 @@
-"""Saving parameter sets: by a person, daily, and before the first write to a unit on a day."""
+"""The saving of parameter sets: by a person, daily, and before a unit's first write on a day."""
 
 from __future__ import annotations
 
@@ -42,31 +42,31 @@ SCHEDULE = Act("set_save_schedule", Role.ENGINEER, "parameter_set", "event_sets_
 END_SCHEDULE = Act("end_save_schedule", Role.ENGINEER, "parameter_set", "event_sets_not_scheduled")
 
 SERVER = Person("server", Role.VIEWER, "worker")
-"""Author of what the server does by itself; it only reads units."""
+"""The author of the server's own reads; it writes nothing."""
 _READ_TIMEOUT_S = 300.0
-"""A full list waits for gaps in the scan; at 300 baud one unit takes half a minute of wire alone."""
+"""The seconds for a full list in the gaps of the scan; at 300 baud one unit takes 30 s of wire."""
 _CHECK_EVERY_S = 5.0
 MAX_READINGS = 20
-"""Readings of units whose progress is remembered."""
+"""The readings of units whose progress is remembered."""
 MAX_AT_ONCE = 4
-"""Reads of several units take turns on the wire, which saves the fence between two reads of one."""
+"""The units that are read at once: taking turns saves the fence between two reads of one unit."""
 REPORT_AFTER = timedelta(seconds=15)
-"""A unit that has not responded for so long after its set was due is reported."""
+"""The delay after which a unit that has not responded to its daily reading is reported."""
 LocalClock = Callable[[], datetime]
-"""Returns the local time with its zone."""
+"""A function that returns the local time with its zone."""
 
 _log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterReader:
-    """A reader of complete units of one bus through the command service."""
+    """A reader of all parameters of units of one bus, through the command service."""
 
     _live: BusLive
     _commands: CommandService
 
     def motion(self, unit: int) -> tuple[bool | None, bool | None]:
-        """Return the Run input and REMOTE of a unit as last read; None for one that does not respond."""
+        """Return the Run input and REMOTE of a unit as last read; None and None if it does not respond."""
         status = status_of(self._live, self._live.units[unit])
         return (None, None) if status is None else (status.run, status.remote)
 
@@ -77,7 +77,7 @@ class ParameterReader:
     async def read_unit(self, person: Person, unit: int, *, urgent: bool = False) -> UnitRows:
         """Read all 40 parameters of a unit.
 
-        Raises Problem 503 when the bus is closed, 504 when the unit does not respond.
+        Raise Problem 503 if the bus is closed, 504 if the unit does not respond.
         """
         action = ReadParameters(unit=unit, numbers=list(PARAMETERS), urgent=urgent)
         result = await self._commands.send(person, action, deadline=Deadline.within(_READ_TIMEOUT_S))
@@ -88,7 +88,7 @@ class ParameterReader:
         self, person: Person, units: Sequence[int], read: list[UnitRows], missing: dict[int, Message]
     ) -> None:
         """Read several units, a few at once. Meanwhile ``read`` gets those that responded, and ``missing``
-        why the others did not."""
+        the reason why others did not."""
         at_once = asyncio.Semaphore(MAX_AT_ONCE)
 
         async def read_one(unit: int) -> None:
@@ -104,7 +104,7 @@ class ParameterReader:
 
 @dataclass(frozen=True, eq=False)
 class SetKeeper:
-    """The keeper that saves the sets of one bus and marks them golden."""
+    """The service that saves the sets of one bus and marks them golden."""
 
     _live: BusLive
     reader: ParameterReader
@@ -127,7 +127,7 @@ class SetKeeper:
     ) -> ParameterSet:
         """Read the units now, one after another, and save their values.
 
-        Raises Problem 504 or 503 when one does not respond; nothing is saved then.
+        Raise Problem 504 or 503 if one does not respond; nothing is saved then.
         """
         SAVE.check(person)
         rows = [await self.reader.read_unit(person, unit) for unit in units]
@@ -136,9 +136,9 @@ class SetKeeper:
     async def save(
         self, person: Person, rows: Sequence[UnitRows], origin: SetOrigin, name: str = "", comment: str = ""
     ) -> ParameterSet:
-        """Store what was read as a set, with an event. A person of any role may do so: the server does.
+        """Store the rows as a set, with an event. A person of any role may do so: the server does.
 
-        Reading takes a while: raises Problem 403 when the rights of the person were withdrawn meanwhile.
+        Raise Problem 403 if the rights of the person were withdrawn during the reading, which takes a while.
         """
         await self._rights.check(person)
         kept = await self.store.save(
@@ -150,8 +150,8 @@ class SetKeeper:
         return kept
 
     async def mark_golden(self, person: Person, stored: ParameterSet, units: Sequence[int]) -> None:
-        """Make this set the golden set of the units. Raises Problem 404, and marks none, where the set lacks
-        one of them."""
+        """Make this set the golden set of the units. Raise Problem 404, and mark none, if the set lacks one
+        of them."""
         MARK_GOLDEN.check(person)
         for unit in units:
             if stored.unit(unit) is None:
@@ -163,8 +163,8 @@ class SetKeeper:
         await self._drift.load()
 
     async def read_marked(self) -> None:
-        """Read completely, indefinitely and in the gaps of the scan, the units whose golden set could not be
-        compared yet. The slow scan would take a quarter of an hour for it."""
+        """Read completely, in the gaps of the scan, each unit whose golden set could not be compared yet,
+        until canceled. The slow scan would take a quarter of an hour for that."""
         while True:
             await asyncio.sleep(_CHECK_EVERY_S)
             for unit in self._drift.marked():
@@ -182,8 +182,8 @@ class SetReading:
     """A reading of units that began at ``began``, to be saved as one set; ``golden``: also as the golden set
     of each unit.
 
-    ``missing``: the units that did not respond, with the reason; ``set_id``: the saved set; ``cause``: why
-    what was read was not saved or not marked.
+    ``missing``: the units that did not respond, with the reason; ``set_id``: the saved set; ``cause``: the
+    reason why the values were not saved or not marked.
     """
 
     id: str
@@ -200,7 +200,7 @@ class SetReading:
     cause: Message | None = None
 
     def values_read(self, keeper: SetKeeper) -> dict[int, int]:
-        """Count by unit the values that have been read so far: all of a unit that is not read further."""
+        """Count the values read so far, by unit; all of them for a unit whose reading has ended."""
         ended = self.missing.keys() | {rows.unit for rows in self.read}
         return {
             unit: len(PARAMETERS) if unit in ended else keeper.reader.values_since(unit, self.began)
@@ -209,7 +209,7 @@ class SetReading:
 
 
 class SetReadings:
-    """Readings of units in the background for the page, and how each went."""
+    """The readings of units in the background for the page, and their results."""
 
     def __init__(self) -> None:
         self._readings: dict[str, SetReading] = {}
@@ -229,8 +229,8 @@ class SetReadings:
         *,
         golden: bool = False,
     ) -> SetReading:
-        """Read the units and save those that respond as one set; ``golden``: and mark it as the golden set of
-        each."""
+        """Read the units and save those that respond as one set; ``golden``: also mark it as the golden set
+        of each unit."""
         SAVE.check(person)
         if golden:
             MARK_GOLDEN.check(person)
@@ -261,7 +261,7 @@ async def _read_and_save(person: Person, keeper: SetKeeper, reading: SetReading)
 
 
 class FirstWrites:
-    """A hook that saves the known values of a unit before the first write to it on a day, which waits for no
+    """A hook that saves the known values of a unit before its first write on a day, without waiting for a
     reading."""
 
     def __init__(self, live: BusLive, commands: CommandService, keeper: SetKeeper, clock: LocalClock) -> None:
@@ -269,15 +269,15 @@ class FirstWrites:
         self._keeper = keeper
         self._clock = clock
         self._saved: dict[int, date] = {}
-        """The last day on which a unit had its set."""
+        """The last day on which a unit's set was saved."""
         self.background = Background()
         commands.on_write(self.before)
 
     async def before(self, person: Person, units: Sequence[int], parameters: bool) -> None:
         """Save units that are about to be written to.
 
-        A write of ``parameters`` waits for it (a few milliseconds of disk; raises StoreError). A setpoint or
-        an output changes no parameter and waits for nothing; its unit is saved when all forty are known.
+        A write of ``parameters`` waits for that (milliseconds of disk; may raise StoreError). A setpoint or
+        an output changes no parameter and waits for nothing; its unit is saved once all forty are known.
         """
         today, live = self._clock().date(), self._live.units
         needed = 1 if parameters else len(PARAMETERS)
@@ -296,7 +296,7 @@ class FirstWrites:
             _log.error("the set before the first write of the day was not stored", error=str(error))
 
     async def _save(self, person: Person, known: list[UnitRows]) -> None:
-        """Store the units that have no set of today yet."""
+        """Store the units that have no set of today."""
         today, keeper = _midnight(self._clock()), self._keeper
         fresh: list[UnitRows] = []
         try:
@@ -317,7 +317,7 @@ class FirstWrites:
                 self.background.begin(self._complete(person, rows.unit), f"rest of unit {rows.unit}")
 
     async def _complete(self, person: Person, unit: int) -> None:
-        """Save a unit again once it was read completely, in the gaps of the scan."""
+        """Read a unit completely, in the gaps of the scan, and save it again."""
         keeper = self._keeper
         try:
             rows = await keeper.reader.read_unit(person, unit)
@@ -328,16 +328,16 @@ class FirstWrites:
 
 @dataclass(slots=True)
 class OverdueSet:
-    """The set of the day that a unit does not have yet. ``since``: when that was noticed; ``why``: what
-    prevented it at the last attempt, None before the first."""
+    """A daily set that a unit does not have yet. ``since``: the time when that was noticed; ``why``: the
+    obstacle at the last attempt, None before the first."""
 
     since: datetime
     why: Message | None = None
 
 
 class SetSchedule:
-    """The schedule that saves the units of one bus daily; a unit that does not respond then is read when it
-    does."""
+    """The schedule that saves the units of one bus daily; a unit that does not respond is read when it
+    responds again."""
 
     def __init__(self, live: BusLive, keeper: SetKeeper, events: EventLog, clock: LocalClock) -> None:
         self._live = live
@@ -348,11 +348,11 @@ class SetSchedule:
         self._overdue: dict[int, OverdueSet] = {}
 
     def overdue(self) -> Mapping[int, OverdueSet]:
-        """Return the units whose set of the day could not be saved yet."""
+        """Return the units whose daily set could not be saved yet."""
         return {unit: overdue for unit, overdue in self._overdue.items() if overdue.why}
 
     async def set(self, person: Person, minute_of_day: int | None) -> None:
-        """Save the units every day at a minute of the local day; None ends the schedule."""
+        """Save the units daily at a minute of the local day; None ends the schedule."""
         SCHEDULE.check(person)
         performed = END_SCHEDULE.by(person)
         if minute_of_day is not None:
@@ -362,7 +362,7 @@ class SetSchedule:
         await self._events.record(**performed, bus=self._bus)
 
     async def follow(self) -> None:
-        """Save sets when they are due, indefinitely. Those that came due today while the server was not
+        """Save sets when they are due, until canceled. Sets that came due today while the server was not
         running are saved now."""
         seen = _midnight(self._clock()) - timedelta(seconds=1)
         while True:
@@ -372,7 +372,7 @@ class SetSchedule:
             await asyncio.sleep(_CHECK_EVERY_S)
 
     async def save_due(self, seen: datetime, now: datetime) -> None:
-        """Save the sets that came due after ``seen``, up to ``now``, and those that are overdue."""
+        """Save the sets that came due after ``seen`` and up to ``now``, and those that are overdue."""
         minute_of_day = (await self._keeper.store.schedule()).get(self._bus)
         due = None if minute_of_day is None else due_between(minute_of_day, seen, now)
         if due is not None:
@@ -411,7 +411,7 @@ class SetSchedule:
             await self._report(unit, overdue[unit], why)
 
     async def _report(self, unit: int, overdue: OverdueSet, why: Message) -> None:
-        """Record, the first time only, why a unit has no set of the day."""
+        """Record, the first time only, why a unit has no daily set."""
         first, overdue.why = not overdue.why, why
         if first:
             what, author = Message.of("event_set_not_taken", unit=unit), SERVER.author
@@ -421,7 +421,7 @@ class SetSchedule:
 
 
 def due_between(minute_of_day: int, since: datetime, until: datetime) -> datetime | None:
-    """Return the last time at which this minute of the day began after ``since``, up to ``until``, if any."""
+    """Return the last time after ``since``, up to ``until``, at which this minute of the day began."""
     due = [_midnight(day) + timedelta(minutes=minute_of_day) for day in (until, since)]
     return next((at for at in due if since < at <= until), None)
 

@@ -1,5 +1,5 @@
-"""The stored parameter sets, which never change, the marks of golden sets, and the daily schedule; and a set
-as a readable TOML file, one line a parameter, fit for version control."""
+"""The store of parameter sets, which never change, of golden marks and the daily schedule; and a set as a
+readable TOML file with one line for each parameter, fit for version control."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from bus.messages import Message, term
 from bus.validation import fault_message
 
 MAX_SETS = 2**62
-"""No limit."""
+"""A limit that no list reaches."""
 _HEAD = "bus, name, comment, taken_at, who, origin"
 
 
@@ -62,7 +62,7 @@ class SetStore(Tables):
 
     @reading
     def load(self, connection: StoreConnection, set_id: int) -> ParameterSet | None:
-        """Return a complete set, if it exists."""
+        """Return a complete set, None if it does not exist."""
         head = connection.execute(f"SELECT {_HEAD} FROM parameter_set WHERE id = ?", (set_id,)).fetchone()
         if head is None:
             return None
@@ -86,8 +86,8 @@ class SetStore(Tables):
         text: str = "",
         limit: int = MAX_SETS,
     ) -> list[ParameterSetSummary]:
-        """Return the newest sets, filtered by bus, unit, or a ``text`` in name, comment or user, of those
-        stored before the set ``before``."""
+        """Return the newest sets stored before the set ``before``, filtered by bus, unit, or a ``text`` in
+        name, comment or user."""
         found = connection.execute(
             f"SELECT id, {_HEAD},"
             " (SELECT group_concat(unit) FROM parameter_set_unit WHERE set_id = id),"
@@ -141,7 +141,7 @@ class SetStore(Tables):
         since: UnixTime,
         origin: SetOrigin | None = None,
     ) -> bool:
-        """Tell whether a set of this unit, of this origin if given, was stored at or after ``since``."""
+        """Return whether a set of this unit (of ``origin`` if given) was stored at or after ``since``."""
         found = connection.execute(
             "SELECT 1 FROM parameter_set JOIN parameter_set_unit ON id = set_id"
             " WHERE bus = ?1 AND unit = ?2 AND taken_at >= ?3 AND origin = coalesce(?4, origin) LIMIT 1",
@@ -151,12 +151,12 @@ class SetStore(Tables):
 
     @reading
     def schedule(self, connection: StoreConnection) -> dict[str, int]:
-        """Return by bus the minute of the local day at which its units are saved."""
+        """Return the minute of the local day at which each bus is saved, by bus."""
         return dict(connection.execute("SELECT bus, minute_of_day FROM set_schedule"))
 
     @writing
     def set_schedule(self, connection: StoreConnection, bus: str, minute_of_day: int | None) -> None:
-        """Save the units of a bus daily at a minute of the day; None ends it."""
+        """Save the units of a bus daily at a minute of the day; None ends this."""
         connection.execute("DELETE FROM set_schedule WHERE bus = ?", (bus,))
         if minute_of_day is not None:
             connection.execute("INSERT INTO set_schedule VALUES (?, ?)", (bus, minute_of_day))
@@ -181,21 +181,21 @@ def _numbers(joined: str | None) -> tuple[int, ...]:
 _DOCUMENT_FORMAT = "lineside parameter set"
 _DOCUMENT_VERSION = 1
 MAX_DOCUMENT = 1_500_000
-"""Characters of a file; all 255 units of a bus take half of it."""
+"""The most characters of a file; all 255 units of a bus take half of them."""
 MAX_LINES, MAX_VALUES = 20_000, 150_000
 """255 units take 12,000 lines and 75,000 values, counted by ``=`` and ``,``. A file of the same length that
-is all values takes two seconds of the interpreter."""
+has only values takes two seconds of the interpreter."""
 MAX_KEY_STEPS = 2_000_000
-"""Steps of Python's parser, which takes half a second for them. Without this bound one key of 20,000 parts in
-40 kB takes 6 s and 1.5 GB."""
+"""The most steps of Python's parser, which takes half a second for them. Without this limit one key of 20,000
+parts in 40 kB takes 6 s and 1.5 GB."""
 _KEYS = frozenset(str(number) for number in PARAMETERS)
-"""The keys of parameters; 06 beside 6 would be one parameter twice."""
+"""The valid keys of parameters: 06 beside 6 would be one parameter twice."""
 
 THE_FILE = term("the file")
 
 
 class DocumentError(CallerError):
-    """The refusal of a file that is no usable parameter set."""
+    """Raised for a file that is not a usable parameter set."""
 
 
 class _Parameter(StrictBody):
@@ -225,7 +225,7 @@ class _Document(StrictBody):
 
 
 def write_document(parameter_set: ParameterSet, *, with_secrets: bool = False) -> str:
-    """Write the set as TOML text; #21 is masked unless ``with_secrets``."""
+    """Return the set as TOML text; #21 is masked unless ``with_secrets``."""
     lines = [
         f"format = {toml_of(_DOCUMENT_FORMAT)}",
         f"version = {_DOCUMENT_VERSION}",
@@ -263,7 +263,7 @@ def _row_line(row: ParameterRow, unit: UnitRows, with_secrets: bool) -> str:
 
 
 def read_document(text: str, source: str | Message = THE_FILE) -> ParameterSet:
-    """Parse and check a file. Raises DocumentError with what is wrong and where.
+    """Parse and check a file. Raise DocumentError with the fault and its place.
 
     Only ``raw`` counts; ``value`` and ``name`` are for people.
     """
@@ -314,9 +314,9 @@ def _content(text: str, source: str | Message) -> dict[str, Any]:
 
 
 def _key_steps(text: str) -> int:
-    """Bound the steps of the parser by the dots of each line, those in strings included.
+    """Return an upper bound of the parser's steps by the dots of each line, also those in strings.
 
-    It follows every part of a key from the root, through all parts of the table that the key is in.
+    The parser follows every part of a key from the root, through all parts of the table of the key.
     """
     steps = deepest = 0
     for line in text.split("\n"):
@@ -328,7 +328,7 @@ def _key_steps(text: str) -> int:
 
 
 def _seconds(moment: datetime, source: str | Message) -> UnixTime:
-    """Convert a time to seconds since the epoch. Raises DocumentError for a year out of range."""
+    """Convert a time to seconds since the epoch. Raise DocumentError if the year is out of range."""
     try:
         return UnixTime(moment.timestamp())
     except (ValueError, OverflowError, OSError) as error:

@@ -1,4 +1,4 @@
-"""The pages that lead a person through the replacement of a unit."""
+"""The feature of unit swaps: pages that lead a person through a replacement."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ Beginner = Annotated[Person, BEGIN.permitted]
 async def swap_page(
     request: Request, _: Beginner, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
-    """Offer what the spare can equal or, once the swap is begun, show the steps."""
+    """Offer the sets that the spare can equal or, during a swap, show its steps."""
     found = unit_or_404(live, bus, unit)
     found_offers = offers(live, await sets.summaries(), bus, unit)
     return render(
@@ -72,7 +72,7 @@ async def swap_page(
 
 @router.post("/swap/{bus}/{unit}", **FILE_FORM)
 async def begin(person: Beginner, live: Live, swaps: Swaps, bus: str, unit: int, chosen: Chosen) -> Response:
-    """Begin the swap; units are only read."""
+    """Begin a swap; units are only read."""
     unit_or_404(live, bus, unit)
     source = await swaps.source_of(person, bus, unit, chosen)
     await swaps.begin(person, bus, unit, source)
@@ -85,12 +85,12 @@ async def swap_or_404(live: Live, swaps: Swaps, bus: str, unit: int) -> Swap:
 
 
 SwapOfUnit = Annotated[Swap, Depends(swap_or_404)]
-"""The swap of ``{bus}`` and ``{unit}`` in the path."""
+"""The swap of the ``{bus}`` and ``{unit}`` of the path."""
 
 
 @router.get("/swap/{bus}/{unit}/look")
 async def look_again(request: Request, person: Beginner, swaps: Swaps, swap: SwapOfUnit) -> Response:
-    """Read the wire; show the state of the swap and the next step."""
+    """Probe the wire; show the state of the swap and its next step."""
     now = PROVEN if swap.proven else await _advice(person, swaps, swap)
     return render(
         request,
@@ -148,7 +148,7 @@ async def save_entered(
     swaps: Swaps,
     swap: SwapOfUnit,
 ) -> Response:
-    """Read the unit, which was entered from the sheet, and save it as a set."""
+    """Read the unit, whose values came from the sheet, and save it as a set."""
     if swap.source is not None:
         raise Problem(409, "not_in_state", Message("swap_with_set"))
     kept = await keeper.read_and_save(person, [swap.unit], origin="from the sheet")
@@ -158,7 +158,7 @@ async def save_entered(
 
 @router.post("/swap/{bus}/{unit}/give-up")
 async def cancel(person: Annotated[Person, CANCEL.permitted], swaps: Swaps, swap: SwapOfUnit) -> Response:
-    """Close the swap; whatever was done at the unit stays."""
+    """Close the swap; all changes at the unit stay."""
     await swaps.cancel(person, swap)
     return RedirectResponse(f"/units/{swap.bus}/{swap.unit}", 303)
 
@@ -179,7 +179,7 @@ def make(services: Services) -> None:
 
 
 async def _find(live: LiveState, search: Search) -> Iterable[FoundPlace]:
-    """Find the replacement of each unit, by the unit too."""
+    """Find the pages for replacing a unit, also by the unit's name."""
     found: list[FoundPlace] = []
     for bus in live.buses.values() if search.may("begin_swap") else ():
         for unit in bus.units.values():

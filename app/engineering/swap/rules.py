@@ -1,4 +1,4 @@
-"""The next step of a swap for a person, by what the wire shows. Pure."""
+"""The next step of a swap, by the state of the wire. Pure."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Literal
 from bus.messages import Message, ParamValue
 
 FACTORY_ADDRESS = 1
-"""Value of #17 of a unit as it comes out of its box (manual, 1.0)."""
+"""The value of #17 of a new unit (manual, 1.0)."""
 FACTORY_BAUD = 9600
-"""Bit rate of such a unit (#18), in bits a second."""
+"""The bit rate of a new unit (#18), in bits per second."""
 
 ProbeFinding = Literal["silent", "digimax", "garbled", "foreign", "late"]
 StepName = Literal["find", "address", "remote", "restore", "proven"]
@@ -20,11 +20,11 @@ STEPS: tuple[StepName, ...] = ("find", "address", "remote", "restore", "proven")
 
 @dataclass(frozen=True, slots=True)
 class SwapState:
-    """What the wire shows for a swap.
+    """The state of the wire for a swap.
 
-    ``at_target``: what responds at the section's address; ``at_factory``: at address 1. ``is_new``: the unit
-    at the section's address is the spare, not the old unit that is still on the cable. ``equal``: it equals
-    the set, by the last full read. ``remote`` and ``equal`` are None where they are not known yet.
+    ``at_target``: the finding at the section's address; ``at_factory``: at address 1. ``is_new``: the unit at
+    the section's address is the spare, not the old unit that is still on the cable. ``equal``: the unit
+    equals the set, by the last full read. ``remote`` and ``equal`` are None if they are not known yet.
     """
 
     target: int
@@ -39,7 +39,7 @@ class SwapState:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """The present step and what to do. ``at_keypad``: only a person at the unit can do it;
+    """The present step and its instruction. ``at_keypad``: only a person at the unit can do it;
     ``confirms_spare``: a person may confirm that the unit is the spare."""
 
     step: StepName
@@ -52,7 +52,7 @@ PROVEN = Advice("proven", Message("swap_proven"), at_keypad=False)
 
 
 def advice(state: SwapState) -> Advice:
-    """Advise what to do now."""
+    """Return the step that a person should do now."""
     if state.at_target == "late":
         return Advice("find", Message.of("swap_late", target=state.target), at_keypad=False)
     if state.at_target in ("garbled", "foreign"):
@@ -82,7 +82,7 @@ def _nothing_at_target(state: SwapState) -> Advice:
 
 
 def finding(state: SwapState) -> Message:
-    """Describe what the wire shows, for the record of the swap."""
+    """Return the state of the wire as text for the record of the swap."""
     if state.at_target == "digimax" and state.remote is not None:
         code = "swap_found_remote" if state.remote else "swap_found_local"
         return Message.of(code, address=state.target)
@@ -94,5 +94,5 @@ def finding(state: SwapState) -> Message:
 
 
 def done_steps(now: StepName) -> Collection[StepName]:
-    """Return the steps that are done."""
+    """Return the steps before ``now``; all when the swap is verified."""
     return STEPS[: STEPS.index(now)] if now != "proven" else STEPS

@@ -1,6 +1,6 @@
-"""Replacing a unit by a spare: its parameters, what the wire shows, the restore, the event at the end.
+"""The service of unit swaps: the values for the spare, the probes, the restore, the event at the end.
 
-Swaps are stored and continue after a restart. Units are only read here; a restore writes.
+Swaps are stored and continue after a restart. The service only reads units; a restore writes.
 """
 
 from __future__ import annotations
@@ -35,30 +35,30 @@ from bus.messages import Message, joined, listed, parameter_name
 BEGIN = Act("begin_swap", WRITE_PARAMETER.role, "swap", "event_swap_begun")
 CONFIRM_SPARE = Act("confirm_spare", WRITE_PARAMETER.role, "swap", "swap_named_by_person")
 RESTORE_SPARE = Act("restore_spare", WRITE_PARAMETER.role, "swap", "event_swap_proven")
-"""Recorded when a full read of the spare was equal."""
+"""Recorded when a full read of the spare equals the set."""
 SAVE_ENTERED = Act("save_entered_spare", WRITE_PARAMETER.role, "swap", "event_swap_kept")
 CANCEL = Act("cancel_swap", WRITE_PARAMETER.role, "swap", "event_swap_given_up")
 ACTS = (BEGIN, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED, CANCEL)
-"""Each step needs the role for writing parameters, as the restore does."""
+"""Each step needs the role for writing parameters, as a restore does."""
 
 _SHEET = "sheet"
-"""Source in the form where no set is stored: a person enters the values of the parameter sheet."""
+"""The source in a form if no set is stored: a person enters the values of the parameter sheet."""
 PROBE_WAIT_S = 2.0
-"""How long a page waits for a probe before it shows the previous finding."""
+"""The time that a page waits for a probe before it shows the previous one."""
 _PROBE_TIMEOUT_S = 30.0
 MAX_PROBES = 4
-"""Attempts at an address whose unit still responds to the scan."""
+"""The attempts at an address whose unit still responds to the scan."""
 
 
 @dataclass(frozen=True, slots=True)
 class SwapSource:
-    """The unit of a stored set that the spare shall equal: mostly the section's own, or a sister's."""
+    """The unit of a stored set that the spare shall equal: the section's own unit, or a similar one."""
 
     set: int
     unit: int
 
     def message(self, unit: int) -> Message:
-        """Name the set, and its unit if that is not ``unit``."""
+        """Name the set, and its unit if it differs from ``unit``."""
         if self.unit == unit:
             return Message.of("set_numbered", set=self.set)
         return Message.of("set_of_unit", set=self.set, unit=self.unit)
@@ -68,9 +68,9 @@ class SwapSource:
 class Swap:
     """The replacement of the unit of a section.
 
-    ``source`` is None where nothing is stored and the spare is entered from the sheet. ``is_new``: the unit
-    at the section's address is the spare, as nothing responded there for a while or a person confirmed it.
-    ``seen``: findings on the wire, each once, in order.
+    ``source`` is None if no set is stored and the spare is entered from the sheet. ``is_new``: the unit at
+    the section's address is the spare, as nothing responded there for a while or a person confirmed it.
+    ``seen``: the findings on the wire, each once, in order.
     """
 
     bus: str
@@ -83,11 +83,11 @@ class Swap:
     restore: Restore | None = None
     proven: bool = False
     state: SwapState | None = None
-    """The finding of the last probe."""
+    """The result of the last probe."""
     probe: asyncio.Task[SwapState] | None = None
 
     def saw(self, state: SwapState) -> bool:
-        """Note the finding of a probe; return whether it was new."""
+        """Note the result of a probe; return whether it was new."""
         self.state = state
         before = self.is_new, len(self.seen)
         if state.at_target == "silent":
@@ -108,7 +108,7 @@ class Swap:
 
     @property
     def not_restored(self) -> list[int]:
-        """The rows of the set that were not written, as the spare lacks them or nobody chose them."""
+        """The rows of the set that were not written: the spare lacks them, or nobody chose them."""
         restore = self.restore
         if restore is None:
             return []
@@ -120,12 +120,12 @@ class Swap:
 
     @property
     def source_message(self) -> Message:
-        """Where the parameters come from."""
+        """The source of the parameters, as text."""
         return Message("swap_sheet") if self.source is None else self.source.message(self.unit)
 
     @property
     def story(self) -> Message:
-        """What was seen on the wire, in order."""
+        """The findings on the wire, in order."""
         return Message.of("swap_seen", findings=listed(self.seen))
 
 
@@ -138,7 +138,7 @@ class SwapStore(Tables):
 
     @writing
     def save(self, connection: StoreConnection, swap: Swap) -> None:
-        """Store the present state in place of the section's earlier one."""
+        """Store the present state of a swap instead of the section's earlier one."""
         row = (
             swap.bus,
             swap.unit,
@@ -158,7 +158,7 @@ class SwapStore(Tables):
         connection.execute("DELETE FROM swap WHERE bus = ? AND unit = ?", (swap.bus, swap.unit))
 
     async def load(self, find_restore: FindRestore) -> list[Swap]:
-        """Return every swap that was not closed, with the restore that it led to."""
+        """Return each swap that was not closed, with its restore if it has one."""
         rows = await self.database.read(_select)
         for swap, restore_id in rows:
             swap.restore = await find_restore(restore_id) if restore_id else None
@@ -188,7 +188,7 @@ def _select(connection: StoreConnection) -> list[tuple[Swap, str | None]]:
 
 
 class SwapService:
-    """The service that keeps the swap of each unit until it is closed or another one of the unit begins."""
+    """The service that keeps the swap of each unit until it is closed or the unit's next swap begins."""
 
     def __init__(
         self,
@@ -209,7 +209,7 @@ class SwapService:
         restores.on_end(self.on_restore_end)
 
     async def load(self) -> None:
-        """Take up, after the restores, the swaps that were under way when the server ended."""
+        """Take up the swaps that were under way when the server ended; restores come first."""
         self._swaps = {(swap.bus, swap.unit): swap for swap in await self._store.load(self._restores.find)}
 
     def find(self, bus: str, unit: int) -> Swap | None:
@@ -217,18 +217,18 @@ class SwapService:
         return self._swaps.get((bus, unit))
 
     def find_or_404(self, bus: str, unit: int) -> Swap:
-        """Return the swap of a section. Raises Problem 404 where none is begun."""
+        """Return the swap of a section. Raise Problem 404 if none was begun."""
         return or_404(self.find(bus, unit), "unknown_swap", Message.of("swap_not_begun", unit=unit))
 
     def _refuse_closed(self, swap: Swap) -> None:
-        """Raise Problem 404 where it was closed while its unit was read: another may have begun since."""
+        """Raise Problem 404 if the swap was closed while its unit was read: another may have begun."""
         is_open = self.find(swap.bus, swap.unit) is swap
         or_404(swap if is_open else None, "unknown_swap", Message.of("swap_not_begun", unit=swap.unit))
 
     async def source_of(self, person: Person, bus: str, unit: int, form: FormSource) -> SwapSource | None:
-        """Return what a form chooses as a stored set; None for the sheet.
+        """Return the stored set that a form names; None for the sheet.
 
-        A neighbor is read and saved now, a file is saved. Raises Problem 403, 404, 422 or 504.
+        A neighbor is read and saved now, a file is saved. Raise Problem 403, 404, 422 or 504.
         """
         BEGIN.check(person)
         if form.file and (rows := await form.uploaded(unit)):
@@ -248,9 +248,9 @@ class SwapService:
         return SwapSource(kept.id, chosen.unit)
 
     async def begin(self, person: Person, bus: str, unit: int, source: SwapSource | None) -> Swap:
-        """Begin the swap of a section's unit; ``source`` is what the spare shall equal.
+        """Begin the swap of a section's unit; ``source``: the unit that the spare shall equal.
 
-        Raises Problem 409 where another swap of the unit is under way.
+        Raise Problem 409 if another swap of the unit is under way.
         """
         BEGIN.check(person)
         under_way = self.find(bus, unit)
@@ -258,7 +258,7 @@ class SwapService:
             other = Message.of("swap_under_way", who=account_shown(under_way.who), unit=unit)
             raise Problem(409, "busy", other)
         swap = Swap(bus, unit, person.name, source, unix_now())
-        # Before the wait for the store: of two who begin at once, one is refused.
+        # Set before waiting for the store: of two who begin at once, one is refused.
         self._swaps[bus, unit] = swap
         try:
             await self._store.save(swap)
@@ -270,10 +270,10 @@ class SwapService:
         return swap
 
     async def look(self, person: Person, swap: Swap) -> SwapState | None:
-        """Return what the wire shows or, where a probe takes long, what it showed before, if anything.
+        """Return the state of the wire; while a probe takes long, the previous state, None if there is none.
 
-        One probe at a time: it takes the gaps of the scan, and a page that is reloaded must not add more.
-        Raises the Problem that ended the probe.
+        Only one probe runs at a time: it takes gaps of the scan, and reloading a page must not add more.
+        Raise the Problem that ended the probe.
         """
         running = swap.probe = swap.probe or asyncio.create_task(
             self._probe_line(person, swap), name=f"look for the spare of {swap.unit}"
@@ -303,7 +303,7 @@ class SwapService:
         await self._store.save(swap)
 
     async def cancel(self, person: Person, swap: Swap) -> None:
-        """Close a swap that is not continued, or that was verified."""
+        """Close a swap that is given up, or that was verified."""
         CANCEL.check(person)
         self._refuse_closed(swap)
         del self._swaps[swap.bus, swap.unit]
@@ -313,8 +313,8 @@ class SwapService:
             await self._events.record(**performed, bus=swap.bus, unit=swap.unit, message=swap.story)
 
     async def on_restore_end(self, restore: Restore) -> None:
-        """End the swap that a restore belongs to where the full read was equal. A restore of another set says
-        nothing about the swap."""
+        """End the swap to which a restore belongs, if the full read equals the set. A restore from another
+        set leaves the swap as it is."""
         swap = self.find(restore.bus, restore.unit)
         if swap is None or not restore.for_swap or restore.planned_at < swap.began_at or swap.proven:
             return
@@ -353,19 +353,19 @@ class SwapService:
         )
 
     async def _probe_line(self, person: Person, swap: Swap) -> SwapState:
-        """Probe the wire. Raises Problem 503 where it cannot: the bus is closed, or too busy."""
+        """Probe the wire. Raise Problem 503 if the bus is closed or too busy."""
         line, target = self._live.buses[swap.bus], swap.unit
         unit = line.units[target]
         at_target = await self._probe(person, swap.bus, target)
         for _ in range(MAX_PROBES - 1):
-            # One lost response must not let the old unit, still on the cable, pass for the spare.
+            # One lost response must not make the old unit, still on the cable, pass as the spare.
             if at_target != "silent" or unit.link.link != "online":
                 break
             at_target = await self._probe(person, swap.bus, target)
         at_factory: ProbeFinding = "silent"
         if at_target == "silent" and target != FACTORY_ADDRESS:
             at_factory = await self._probe(person, swap.bus, FACTORY_ADDRESS)
-        # REMOTE counts as the unit reported it since it came back.
+        # REMOTE counts only as the unit reports it after its return.
         is_back = at_target == "digimax" and unit.link.link == "online"
         status = status_of(line, unit) if is_back else None
         return SwapState(
@@ -388,7 +388,7 @@ class SwapService:
 
 
 def step_text(advice: Advice, swap: Swap) -> Message:
-    """Say what to do in a step; after a restore how it ended, with a sheet what to do with it."""
+    """Return the instruction of a step, with the result of a restore, or the next action for a sheet."""
     if swap.source is None and advice.step == "restore":
         return Message("swap_enter_sheet")
     if swap.source is None and advice.step == "proven":

@@ -1,1 +1,1 @@
-"""The change tray: what a person gathers on several pages, reviewed and sent as one change."""
+"""The change tray: changes that a person gathers on several pages, reviews and sends together."""

@@ -1,7 +1,7 @@
-"""The change trays of one bus, and what the review of a tray shows of each change. Pure.
+"""The change trays of one bus, and the row that a review shows for each change. Pure.
 
 A tray holds one raw value for each place: a setpoint, an output, the analog output or a parameter of a unit.
-Nothing of it is a command before it is reviewed and sent.
+Nothing in a tray is a command before it is reviewed and sent.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from bus.instants import Monotonic
 from bus.messages import Message, number, term
 
 LASTS_S = 8 * 3600.0
-"""A tray that nothing was added to for a shift is empty."""
+"""The time after which an unchanged tray is empty: one shift."""
 MAX_CHANGES, MAX_TRAYS = 512, 200
 KINDS: tuple[PlaceKind, ...] = get_args(PlaceKind)
-"""The kinds of places in the order in which they are sent."""
+"""The kinds of places, in the order of sending."""
 _KEY = re.compile(rf"({'|'.join(KINDS)})-(\d{{1,3}})-(\d{{1,2}})", re.ASCII)
 
 
 def key_of(place: ValuePlace) -> str:
-    """Return the name of a place in forms: ``parameter-3-6``."""
+    """Return the name of a place in forms, such as ``parameter-3-6``."""
     return f"{place.kind}-{place.unit}-{place.number}"
 
 
 def place_of(key: str) -> ValuePlace | None:
-    """Parse the name of a place in a form; None if it is none."""
+    """Parse the name of a place in a form; None if it is not valid."""
     found = _KEY.fullmatch(key)
     if found is None:
         return None
@@ -48,7 +48,7 @@ def place_of(key: str) -> ValuePlace | None:
 
 def steps_of(changes: Values) -> list[Values]:
     """Put changes in the order of sending: all setpoints together, then each output, analog output and
-    parameter, those of one kind in the order in which they were added."""
+    parameter, within a kind in the order of adding."""
     by_kind = [{place: raw for place, raw in changes.items() if place.kind == kind} for kind in KINDS]
     together, *others = by_kind
     alone: Iterator[Values] = ({place: raw} for kind in others for place, raw in kind.items())
@@ -56,7 +56,7 @@ def steps_of(changes: Values) -> list[Values]:
 
 
 PlaceScales = Mapping[ValuePlace, UnitScale]
-"""What each change was shown with when it was added."""
+"""The scale that showed each change when it was added."""
 
 
 class _Tray(NamedTuple):
@@ -66,23 +66,23 @@ class _Tray(NamedTuple):
 
 
 class Trays:
-    """The trays of one bus by sender (`Person.sender`)."""
+    """The trays of one bus, by sender (`Person.sender`)."""
 
     def __init__(self) -> None:
         self._trays: OrderedDict[str, _Tray] = OrderedDict()
 
     def changes(self, sender: str, now: Monotonic) -> Values:
-        """Return what a sender has gathered, in the order in which it was added."""
+        """Return the changes that a sender has gathered, in the order of adding."""
         tray = self._trays.get(sender)
         return {} if tray is None or now - tray.added_at >= LASTS_S else tray.changes
 
     def scales(self, sender: str) -> PlaceScales:
-        """Return what the changes of a sender were shown with when they were added."""
+        """Return the scales that showed a sender's changes when they were added."""
         tray = self._trays.get(sender)
         return {} if tray is None else tray.scales
 
     def add(self, sender: str, changes: Values, now: Monotonic, scales: PlaceScales) -> None:
-        """Add changes; a new one replaces that of the same place. Raises Problem 422 for too many."""
+        """Add changes; a new one replaces another at the same place. Raise Problem 422 for too many."""
         held = {**self.changes(sender, now), **changes}
         if len(held) > MAX_CHANGES:
             raise Problem(422, "invalid", Message.of("tray_full", most=MAX_CHANGES))
@@ -92,7 +92,7 @@ class Trays:
             self._trays.popitem(last=False)
 
     def remove(self, sender: str, changes: Values) -> None:
-        """Remove changes, unless they have another value by now."""
+        """Remove changes, except those whose value has changed meanwhile."""
         tray = self._trays.get(sender)
         if tray is None:
             return
@@ -110,9 +110,9 @@ ON_OFF = (term("off"), term("on"))
 class TrayRow:
     """One change in a review.
 
-    ``was``: the present raw value, None where it is not known; ``old``: the same as text, empty then;
-    ``refusal``: why it cannot be sent now, None where nothing is known against it; ``effect``: what follows
-    from it; ``warnings``: what a person must know; ``danger``: why it has to be confirmed.
+    ``was``: the present raw value, None if not known; ``old``: the same as text, empty if not known;
+    ``refusal``: the reason why it cannot be sent now, None if none is known; ``effect``: the consequence;
+    ``warnings``: for the person; ``danger``: the reason why it must be confirmed.
     """
 
     place: ValuePlace
@@ -135,17 +135,17 @@ class TrayRow:
 
     @property
     def was_text(self) -> str:
-        """The present value in a form."""
+        """The present value as text in a form."""
         return "" if self.was is None else str(self.was)
 
     @property
     def reviewed(self) -> str:
-        """The change in the form of a review: the place, the new and the present value."""
+        """The change in the form of a review: the place, the new value, the present value."""
         return f"{self.key}:{self.raw}:{self.was_text}"
 
 
 class Unable(NamedTuple):
-    """A unit that cannot take one of its changes now. Nothing is sent before a person leaves it out."""
+    """A unit that cannot take one of its changes now. Nothing is sent until a person leaves it out."""
 
     unit: int
     name: str
@@ -155,7 +155,7 @@ class Unable(NamedTuple):
 def setpoint_row(
     place: ValuePlace, raw: int, change: SetpointChange, unit: UnitLive, refusal: Message | None
 ) -> TrayRow:
-    """Describe a new setpoint, which ``change`` has reviewed."""
+    """Return the row of a new setpoint, which ``change`` has reviewed."""
     return TrayRow(
         place=place,
         raw=raw,
@@ -172,7 +172,7 @@ def setpoint_row(
 
 
 def value_row(place: ValuePlace, raw: int, was: int | None, bus: BusLive, refusal: Message | None) -> TrayRow:
-    """Describe a new value of an output, the analog output or a parameter; ``was``: the present one."""
+    """Return the row of a new output, analog output or parameter; ``was``: the present value."""
     unit = bus.units[place.unit]
     common = (place, raw, was, unit.settings.name, refusal)
     if place.kind == "output":
@@ -217,7 +217,7 @@ def _ramp(change: SetpointChange) -> Message:
 
 
 def unable_units(rows: Iterable[TrayRow]) -> dict[int, Unable]:
-    """Return by address the units that cannot take one of their changes now, each with the first reason."""
+    """Return the units that cannot take one of their changes now, with the first reason, by address."""
     found: dict[int, Unable] = {}
     for row in rows:
         if row.refusal is not None:

@@ -1,5 +1,5 @@
-"""The change tray, changes that a person gathers for each bus and sends together: adding beside each way to
-set a value, the review, sending, the results."""
+"""The feature of the change tray: adding a change next to each way of setting a value, the review, sending,
+the results."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ _REVIEWED = re.compile(r"([a-z]+-\d+-\d+):(\d{1,6}):(\d{0,6})", re.ASCII)
 
 
 class ReviewedRow(NamedTuple):
-    """A change as the person saw it: the new raw value, and the one before as text, empty for none."""
+    """A change as the person saw it: the new raw value, and the old one as text (empty: none)."""
 
     raw: int
     was: str
 
 
 class ShownResult(NamedTuple):
-    """A change and its result. ``undo`` is that of its command, at the first change of the command."""
+    """A change and its result. ``undo``: of the command, at the command's first change."""
 
     row: TrayRow
     outcome: OutcomeText
@@ -73,7 +73,7 @@ class ShownResult(NamedTuple):
 
 @router.get("/tray", dependencies=GATHERS)
 async def tray_page(page: Page) -> Response:
-    """Show what the person has gathered for each bus."""
+    """Show the changes that the person has gathered for each bus."""
     trays = [OwnTray(bus) for bus in page.buses()]
     buses = [(tray.page.name, rows) for tray in trays if (rows := tray.rows())]
     return page.render("tray/page.html", buses=buses)
@@ -81,13 +81,13 @@ async def tray_page(page: Page) -> Response:
 
 @router.get("/tray/strip", dependencies=GATHERS)
 async def tray_strip(page: Page) -> Response:
-    """Show how much is in the tray, at the edge of the open page."""
+    """Show the number of changes in the tray, at the edge of the open page."""
     return page.render("tray/_strip.html")
 
 
 @router.get("/bus/{bus}/tray/review", dependencies=GATHERS)
 async def review_tray(page: PageOfBus) -> Response:
-    """Show every change as it is now, to be confirmed."""
+    """Show every change against the present values, to be confirmed."""
     tray = OwnTray(page)
     try:
         _refuse_without_control(page)
@@ -129,7 +129,7 @@ def _review(page: BusPage, tray: OwnTray) -> Response:
 
 
 def _refuse_without_control(page: BusPage) -> None:
-    """Raise Problem 409, beside which a page offers control."""
+    """Raise Problem 409, for which a page offers control of the bus."""
     objection = page.guards.objection(page.person.account)
     if objection is not None:
         raise controlled(Message.of("nothing_sent", reason=objection), page.name)
@@ -148,8 +148,8 @@ async def send_tray(
     row: Annotated[list[str] | None, Form(max_length=512)] = None,
     typed: Annotated[str, Form(max_length=20)] = "",
 ) -> Response:
-    """Send what was reviewed, without the units that the person leaves out; nothing if anything differs from
-    the review."""
+    """Send the reviewed changes, without the units that the person leaves out; send nothing if anything
+    differs from the review."""
     tray, left_out = OwnTray(page), left_out_of(await request.form())
     try:
         if await page.has_sent(first_id(confirmed.id)):
@@ -170,7 +170,7 @@ async def send_tray(
 
 
 def _reviewed(rows: list[str]) -> Mapping[ValuePlace, ReviewedRow]:
-    """Parse the rows of a review. Raises Problem 422 for a text that no review holds."""
+    """Parse the rows of a review. Raise Problem 422 for a text that no review has."""
     reviewed = {}
     for text in rows:
         found = _REVIEWED.fullmatch(text)
@@ -186,7 +186,7 @@ def _confirmed_rows(
 ) -> list[TrayRow]:
     """Return the changes to send: all or none.
 
-    Raises Problem 409 where the tray or a value has changed since the review, or a unit that is not left out
+    Raise Problem 409 if the tray or a value has changed since the review, or if a unit that is not left out
     cannot take its change.
     """
     if tray.changes != {place: row.raw for place, row in reviewed.items()}:
@@ -248,14 +248,14 @@ def _outcome(page: BusPage, result: TrayResult) -> OutcomeText:
 
 
 def _refused(page: BusPage, problem: Problem) -> Response:
-    """End a review without sending. Raises Problem for a browser without scripts."""
+    """End a review without sending. Raise Problem for a browser without scripts."""
     if not _is_in_page(page):
         raise problem
     return page.refused(problem, page.translator.t(TITLE))
 
 
 def _shown(page: BusPage, template: str, **context: Any) -> Response:
-    """Render a part of the open page or, for a browser without scripts, a page around it."""
+    """Render a part of the open page or, for a browser without scripts, a full page."""
     context = {"bus": page.name, "part": template, "is_alone": not _is_in_page(page), **context}
     return page.review(template if _is_in_page(page) else "tray/alone.html", **context)
 
@@ -280,7 +280,7 @@ def _setpoints(raw: Mapping[int, int]) -> Values:
 
 @router.post("/units/{bus}/{unit:int}/tray/setpoint", dependencies=[permitted(SET_SPEED)])
 async def add_setpoint(page: PageOfUnit, value: TypedText = "") -> Response:
-    """Add a setpoint, as typed."""
+    """Add a typed setpoint to the tray."""
     try:
         return await _added(page, _setpoints({page.id: (await page.typed_setpoint(page.id, value))[0]}))
     except (CallerError, Problem) as error:
@@ -289,7 +289,7 @@ async def add_setpoint(page: PageOfUnit, value: TypedText = "") -> Response:
 
 @router.post("/units/{bus}/{unit:int}/tray/outputs/{number:int}", dependencies=[permitted(WRITE_OUTPUT)])
 async def add_output(page: PageOfUnit, number: OutputPath, on: Annotated[bool, Form()]) -> Response:
-    """Add a state of an output."""
+    """Add a state of an output to the tray."""
     try:
         return await _added(page, {ValuePlace("output", page.id, number): int(on)})
     except Problem as problem:
@@ -298,7 +298,7 @@ async def add_output(page: PageOfUnit, number: OutputPath, on: Annotated[bool, F
 
 @router.post("/units/{bus}/{unit:int}/tray/analog-output", dependencies=[permitted(WRITE_ANALOG_OUTPUT)])
 async def add_analog(page: PageOfUnit, value: TypedText = "") -> Response:
-    """Add a value of the analog output, as typed."""
+    """Add a typed value of the analog output to the tray."""
     try:
         return await _added(page, {ValuePlace("analog", page.id): typed_analog(value)})
     except (CallerError, Problem) as error:
@@ -332,7 +332,7 @@ async def add_setpoints(request: Request, page: PageOfBus) -> Response:
 
 @router.post("/recipes/{recipe_id}/tray", dependencies=[permitted(SET_LINE)])
 async def add_recipe(page: Page, recipe: KnownRecipe) -> Response:
-    """Add every setpoint of a recipe."""
+    """Add every setpoint of a recipe to the tray."""
     of_bus = page.of_bus(recipe.bus)
     try:
         for setpoint in recipe.setpoints:
@@ -348,7 +348,7 @@ async def add_recipe(page: Page, recipe: KnownRecipe) -> Response:
 
 @router.post("/batch/{bus}/tray")
 async def add_batch(request: Request, _: ParameterWriter, page: PageOfBus) -> Response:
-    """Add every value of a batch edit that differs from that of its unit."""
+    """Add each value of a batch edit that differs from its unit's."""
     number, typed = await typed_batch(request)
     writable_or_404(number)
     rows = rows_of_batch(page.bus, number, typed)
@@ -379,14 +379,14 @@ async def add_restore(
         changes = {
             ValuePlace("parameter", restore.unit, write.number): write.wanted for write in restore.plan.writes
         }
-        # The values of a set are raw, and an earlier row may change the scale of a later one.
+        # A set's values are raw, and an earlier row may change the scale of a later row.
         return await _added(of_bus, changes, scales={restore.unit: {}})
     except Problem as problem:
         return page.explain(problem, "#restore-error")
 
 
 class TrayCount(NamedTuple):
-    """How much a person has gathered for one bus."""
+    """The number of changes that a person has gathered for one bus."""
 
     bus: str
     changes: int

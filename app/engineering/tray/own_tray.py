@@ -1,4 +1,4 @@
-"""The change tray of the person of a request: adding to it, judging its changes, sending them."""
+"""The change tray of a request's person: adding changes, judging them, sending them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from bus.messages import Message
 
 
 class OwnTray:
-    """One person's tray of one bus."""
+    """The tray of one person for one bus."""
 
     def __init__(self, page: BusPage) -> None:
         self.page = page
@@ -40,15 +40,15 @@ class OwnTray:
 
     @property
     def scales(self) -> PlaceScales:
-        """What the changes were shown with when they were added."""
+        """The scales that showed the changes when they were added."""
         return self._trays.scales(self.page.person.sender)
 
     async def add(
         self, changes: Values, deadline: Deadline | None = None, scales: Scales | None = None
     ) -> None:
-        """Add all changes or none. ``scales``: by unit what they were converted with, unless that was now.
+        """Add all changes or none. ``scales``: those that converted them, by unit; None: the present ones.
 
-        Raises Problem for a change that this person could never send.
+        Raise Problem for a change that this person could never send.
         """
         deadline = deadline or self.page.deadline()
         given = scales or {}
@@ -64,16 +64,16 @@ class OwnTray:
         self._trays.add(self.page.person.sender, changes, monotonic_now(), shown_with)
 
     def remove(self, changes: Values) -> None:
-        """Remove changes, unless they have another value by now."""
+        """Remove changes, except those whose value has changed meanwhile."""
         self._trays.remove(self.page.person.sender, changes)
 
     def rows(self) -> list[TrayRow]:
-        """Judge every change as its unit is now."""
+        """Check every change against its unit's present state."""
         return tray_rows(self.page, self.changes, self.scales)
 
     async def learn(self) -> None:
-        """Read the parameters that keypads may have changed, and the ramps that were never read, of the units
-        that take commands now."""
+        """Read the parameters that keypads may have changed, and the ramps that were never read, for the
+        units that take commands now."""
         places = [place for place in self.changes if self.page.obstacle(place.unit) is None]
         numbers: dict[int, list[int]] = {}
         for place in places:
@@ -92,9 +92,9 @@ class OwnTray:
 
 
 def tray_rows(page: BusPage, changes: Values, scales: PlaceScales) -> list[TrayRow]:
-    """Judge changes as their units are now, in the order of sending, setpoints in floor order.
+    """Check changes against the present state of units, in the order of sending, setpoints in floor order.
 
-    ``scales``: what they were shown with when they were added.
+    ``scales``: those that showed the changes when they were added.
     """
     floor = {unit: at for at, unit in enumerate(page.bus.units)}
     values, rows = page.commands.undo.values_now(changes), list[TrayRow]()
@@ -110,7 +110,7 @@ def tray_rows(page: BusPage, changes: Values, scales: PlaceScales) -> list[TrayR
 
 
 def _refusal(page: BusPage, place: ValuePlace, raw: int, added_with: UnitScale) -> Message | None:
-    """Return the reason why a change, confirmed, would be refused now, if any."""
+    """Return the reason why a change, if confirmed, would be refused now."""
     if (obstacle := page.obstacle(place.unit)) is not None:
         return obstacle
     if differs(added_with, page.bus.units[place.unit]):
@@ -127,7 +127,7 @@ _DONE = ("verified", "acknowledged")
 
 @dataclass(frozen=True, slots=True)
 class TrayResult:
-    """What became of one change. ``id``: of its command; ``part``: the result, or why nothing was sent."""
+    """The result of one change. ``id``: of its command; ``part``: the result, or why nothing was sent."""
 
     place: ValuePlace
     raw: int
@@ -136,12 +136,12 @@ class TrayResult:
 
     @property
     def is_done(self) -> bool:
-        """Tell whether the unit has taken the change, which then leaves the tray."""
+        """Whether the unit has taken the change, which then leaves the tray."""
         return not isinstance(self.part, Message) and self.part.outcome in _DONE
 
 
 def first_id(id: str) -> str:
-    """Return the id of the first command of a tray that is sent with this id."""
+    """Return the id of the first command of a tray that is sent with the id ``id``."""
     return f"{id}-0"
 
 
@@ -156,9 +156,9 @@ async def send_changes(
 ) -> list[TrayResult]:
     """Send changes: all setpoints as one command, then the rest one by one, until one fails.
 
-    Returns the result of each in that order. ``id``: of the form; sent again, it gives the same results.
-    ``made_at``: when the person confirmed, from which the deadline of the first command counts. ``scales``:
-    what the changes were shown with.
+    Return the result of each in that order. ``id``: of the form; sending it again gives the same results.
+    ``made_at``: the time when the person confirmed, where the deadline of the first command starts.
+    ``scales``: those that showed the changes.
     """
     results: list[TrayResult] = []
     failed = False
