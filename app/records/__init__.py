@@ -1,1 +1,1 @@
-"""What people read and are told: reports, the shift handover, notification."""
+"""Records that people read and receive: reports, the shift handover, notification."""

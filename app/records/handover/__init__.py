@@ -1,1 +1,1 @@
-"""Shift hand-over: notes of a shift, and its sheet."""
+"""Shift handover: the notes of a shift, and its sheet."""

@@ -1,4 +1,4 @@
-"""Shifts over HTTP: the list, the sheet of one, and its notes."""
+"""The HTTP API of shifts: the list, the sheet of one shift, its notes."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ ShiftOfPath = Annotated[Shift, Depends(_shift_of)]
 
 
 class ShiftNoteRequest(StrictBody):
-    """A note. Without ``time`` it is about now."""
+    """A new note. Without ``time`` it is about the present."""
 
     text: NoteText
     time: Annotated[
@@ -106,13 +106,13 @@ async def get_shifts(
     before: ZonedTime | None = None,
     limit: Annotated[int, Query(ge=1, le=MAX_SHIFTS)] = 30,
 ) -> ShiftsShown:
-    """List the shift under way and those before it."""
+    """List the present shift and the shifts before it."""
     found = await shifts.summaries(before, limit)
     return {"shifts": found, "next": iso(found[-1].start)}
 
 
 class NoteRequest(StrictBody):
-    """A note about a time, in whichever shift that is."""
+    """A new note about a time, whichever shift that time is in."""
 
     text: NoteText
     time: Annotated[ZonedTime, Field(strict=False, description="Not in the future; with zone.")]
@@ -121,7 +121,7 @@ class NoteRequest(StrictBody):
 
 
 class NotesOfSpan(TypedDict):
-    """Notes of a span, in the order of what they are about; corrected ones as they were corrected."""
+    """The notes of a span, in the order of their times, corrected notes only in their last form."""
 
     notes: list[ShiftNote]
 
@@ -133,8 +133,8 @@ async def get_notes_of_span(
     span: SpanOf,
     unit: Annotated[list[str] | None, Query(max_length=MAX_UNITS)] = None,
 ) -> NotesOfSpan:
-    """List the notes about a time of the span: of the site, and of each ``bus/unit`` named with its bus, or
-    all. At most the newest 200."""
+    """List the notes about times in the span: those of the site, and those of each ``bus/unit`` named and its
+    bus (all if none is named). At most the newest 200."""
     found = await shifts.notes_between(seconds(span.start), seconds(span.end), unit or [])
     return {"notes": notes_json(found)}
 
@@ -147,7 +147,7 @@ async def write_note(
     response: Response,
     key: RequestKey = None,
 ) -> ShiftNote:
-    """Write a note about a time: it is one of the shift of that time, as on its hand-over sheet."""
+    """Write a note about a time. It belongs to the shift of that time and is on the sheet of that shift."""
     at = UnixTime(body.time.timestamp())
     new = NewNote(text=body.text, at=at, bus=body.bus, unit=body.unit, key=key)
     written = await shifts.write(person, shifts.shift_at(at), new)
@@ -157,7 +157,7 @@ async def write_note(
 
 @router.get("/{start}", response_model=ShiftSheet, dependencies=[SEARCH])
 async def get_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Response:
-    """Return the sheet of a shift, made from the store; of the one under way, up to now; as it was signed."""
+    """Return the sheet of a shift: as signed, else made from the store, for the present shift up to now."""
     found = await shifts.sheet(shift)
     more: SignaturesOfSheet = {
         "signed": signed_json(found.signed),
@@ -170,7 +170,7 @@ async def get_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Resp
 
 @router.get("/{start}/sheet.json", response_class=Response, responses=SIGNED_JSON, dependencies=[SEARCH])
 async def get_signed_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Response:
-    """Return the signed sheet byte by byte, of which ``digest`` is the SHA-256."""
+    """Return the bytes of the signed sheet, of which ``digest`` is the SHA-256."""
     signed = (await shifts.sheet(shift)).signed
     if signed is None:
         raise Problem(409, "not_signed", Message("shift_not_signed_over"))
@@ -179,7 +179,7 @@ async def get_signed_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) 
 
 @router.get("/{start}/sheet.html", response_class=Response, responses=HTML, dependencies=[SEARCH])
 async def get_shift_document(_: Viewer, shifts: Shifts, documents: Documents, shift: ShiftOfPath) -> Response:
-    """Return the sheet with its signatures as one HTML file, in the language of the site; signed or not."""
+    """Return the sheet, signed or not, with its signatures as one HTML file in the language of the site."""
     found = await shifts.sheet(shift)
     name = f"shift-{iso(found.shift.start)[:16].replace(':', '')}Z.html"
     headers = {**APART, "Content-Disposition": f'attachment; filename="{name}"'}
@@ -195,7 +195,7 @@ async def sign_shift_sheet(
     shift: ShiftOfPath,
     body: ShiftSignRequest | None = None,
 ) -> ShiftSignatures:
-    """Sign the sheet: first the leaving person, which freezes it, then the coming one, another user."""
+    """Sign the sheet: first the leaving person, which freezes it, then the coming person, another user."""
     await signing.sign(person, address_of(request), shift, body or ShiftSignRequest())
     signed = signed_json((await shifts.sheet(shift)).signed)
     assert signed is not None
@@ -211,7 +211,7 @@ async def write_shift_note(
     response: Response,
     key: RequestKey = None,
 ) -> ShiftNote:
-    """Write a note. It is never changed; a correction is a new note that names it."""
+    """Write a note. It never changes; a correction is a new note that names the corrected one."""
     new = NewNote(
         **body.model_dump(exclude={"time", "pictures"}),
         at=UnixTime(body.time.timestamp()) if body.time else None,

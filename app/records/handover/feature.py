@@ -1,4 +1,4 @@
-"""Shift hand-over: the list of shifts, and the sheet of one with its notes, pictures and signatures."""
+"""The feature of shift handover: the list of shifts, and a sheet with notes, pictures and signatures."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ async def shifts_page(
     before: ZonedTime | None = None,
     day: Annotated[TypedText, Query(max_length=20)] = "",
 ) -> Response:
-    """Show the shift under way, and those before it, or those of a ``day`` of the site and before it."""
+    """Show the present shift and those before it, or the shifts of the site's ``day`` and those before."""
     formats = formats_of(request)
     next_day = day_begins(formats.typed_time(day), shifts.zone.key, timedelta(days=1))
     fault = formats.malformed_day(day, unix_now()) if day and next_day is None else None
@@ -94,8 +94,8 @@ async def shifts_page(
 async def present_page(
     _: Viewer, shifts: Shifts, place: PinnedPlace = "", alarm: PinnedAlarm = ""
 ) -> Response:
-    """Redirect to the sheet of the shift under way, whenever it is opened; with what a note is to be about,
-    to its form."""
+    """Redirect to the sheet of the shift that is under way at that time or, with the subject of a note, to
+    the form of a note."""
     pinned = urlencode({name: value for name, value in (("place", place), ("alarm", alarm)) if value})
     path = _path(shifts.present().start)
     return RedirectResponse(f"{path}/note?{pinned}" if pinned else path, SEE_OTHER)
@@ -105,7 +105,7 @@ async def present_page(
 async def picture(
     _: Viewer, pictures: Pictures, digest: Annotated[str, Path(pattern="^[0-9a-f]{64}$")]
 ) -> Response:
-    """Send a picture of a note by its SHA-256. It never changes, and is no page whatever it holds."""
+    """Send a picture of a note by its SHA-256. It never changes, and browsers never show it as a page."""
     found = await pictures.find(digest)
     headers = {**APART, "Cache-Control": "private, max-age=31536000, immutable"}
     return Response(found.content, media_type=found.media_type, headers=headers)
@@ -115,7 +115,7 @@ async def picture(
 async def sheet_page(
     request: Request, person: Viewer, shifts: Shifts, signing: Sign, alarms: Alarms, shift: ShiftOfPath
 ) -> Response:
-    """Show the sheet of a shift, its signatures, and what signs it."""
+    """Show the sheet of a shift, its signatures, and the form for signing it."""
     found = await shifts.sheet(shift)
     return render(
         request,
@@ -145,8 +145,8 @@ async def note_page(
     place: PinnedPlace = "",
     alarm: PinnedAlarm = "",
 ) -> Response:
-    """Show the form for a note. ``correct``: the note that it corrects; ``place`` and ``alarm``: what a new
-    one is about, as long as the person chooses nothing else."""
+    """Show the form for a note. ``correct``: the note that it corrects; ``place`` and ``alarm``: the subject
+    of a new note, unless the person chooses another."""
     shifts.check_place(*_place(place))
     pinned_alarm = await shifts.occurrence(alarm) if alarm else None
     found = await shifts.sheet(shift)
@@ -197,7 +197,7 @@ async def write_note(
     shift: ShiftOfPath,
     new: Annotated[NewNote, Depends(_new_note)],
 ) -> Response:
-    """Write a note."""
+    """Write a note in a shift."""
     note = await shifts.write(person, shift, new)
     return RedirectResponse(f"{_path(shift.start)}#note-{note.id}", SEE_OTHER)
 
@@ -214,14 +214,14 @@ async def sign(
     password: Annotated[str, Form(max_length=1000)] = "",
     reason: FormReason = "",
 ) -> Response:
-    """Sign as the user of the session, or by name and password."""
+    """Sign a sheet as the user of the session, or by name and password."""
     wanted = ShiftSignRequest(part=part, digest=digest, name=name, password=password, reason=reason)
     await signing.sign(person, address_of(request), shift, wanted)
     return RedirectResponse(f"{_path(shift.start)}#signatures", SEE_OTHER)
 
 
 def _place(written: str) -> tuple[str | None, int | None]:
-    """Return a bus, or a unit as ``dry-end/4``."""
+    """Parse a bus, or a unit such as ``dry-end/4``."""
     bus, _, unit = written.partition("/")
     address = int(unit) if unit.isascii() and unit.isdecimal() and len(unit) < 4 else None
     return bus or None, address

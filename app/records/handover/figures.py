@@ -1,5 +1,5 @@
-"""What a line did in a shift or any other span, in a few figures for its first line: how often and how long
-it stood, how many alarms came, and the length of its web."""
+"""Figures of a line in a shift or any other span: the number and duration of its stops, the number of its
+alarms, the length of its web."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from bus.instants import Clock, UnixTime, unix_now
 from bus.settings import BusSettings, UnitSettings
 
 PER_S = {"s": 1, "sec": 1, "min": 60, "h": 3600}
-"""Seconds in the time of a unit of speed, such as m/min."""
+"""The seconds in the time of a unit of speed, such as m/min."""
 DIGITS = 3
 RISEN = "FROM alarm_journal j WHERE trigger = 'rise' AND at >= ? AND at < ?"
-"""Selects the alarms that came."""
+"""SQL that selects the alarms that came in a span."""
 LATE_S, PRESENT_S = 3600.0, 30.0
-"""Readings of a shift may come so long after its end; until then its figures are read anew after half a
-minute."""
+"""The time after the end of a shift within which its readings may come; until then its figures are read again
+every half minute."""
 REMEMBERED = 100
-"""Shifts whose figures are remembered."""
+"""The shifts whose figures are remembered."""
 log = structlog.get_logger()
 FoundUnits = Sequence[tuple[BusSettings, UnitReport]]
-"""What each unit did, with its bus, in floor order."""
+"""The report of each unit, with its bus, in floor order."""
 
 
 class LineFigures(TypedDict):
-    """What the line did in a span."""
+    """The figures of the line in a span."""
 
     stops: Annotated[int | None, Field(description="Times in which any unit stood; null: no unit was read.")]
     stopped_s: Annotated[float | None, Field(description="How long those lasted; null: no unit was read.")]
@@ -50,7 +50,7 @@ class LineFigures(TypedDict):
 
 
 class Length(NamedTuple):
-    """How much web passed a unit, in the measure of its label; both None where that has none."""
+    """The length of web that passed a unit, in the measure of its label; None and None without a measure."""
 
     length: float | None = None
     measure: str | None = None
@@ -65,7 +65,7 @@ def length_of(figures: RunFigures, unit: UnitSettings) -> Length:
 
 
 def line_figures(found: FoundUnits, alarms: int) -> LineFigures:
-    """Return the figures of a line. Units that stand at the same time are one stop."""
+    """Return the figures of a line. Units that stand at the same time count as one stop."""
     read = [(bus, each.unit, each.runs) for bus, each in found if each.runs is not None and each.runs.known]
     standing = _united((stop.at, stop.until) for _, _, runs in read for stop in runs.stops)
     length = Length()
@@ -82,7 +82,7 @@ def line_figures(found: FoundUnits, alarms: int) -> LineFigures:
 
 
 def _united(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return spans of time, of which those that touch are one."""
+    """Return spans of time in which those that touch are joined."""
     united: list[tuple[int, int]] = []
     for at, until in sorted(spans):
         if united and at <= united[-1][1]:
@@ -93,7 +93,7 @@ def _united(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def count_alarms(connection: StoreConnection, span: Shift, scope: Scope) -> int:
-    """Return how many alarms came in a span."""
+    """Return the number of alarms that came in a span."""
     where, values = scope.conditions()
     [count] = connection.execute(
         f"SELECT count(*) {RISEN}{where}", (span.start, span.end, *values)
@@ -102,7 +102,7 @@ def count_alarms(connection: StoreConnection, span: Shift, scope: Scope) -> int:
 
 
 class ReportedBus(NamedTuple):
-    """A bus that a report is about, and the reader of its units."""
+    """A bus of a report, and the reader of its units."""
 
     settings: BusSettings
     figures: BusReport
@@ -117,7 +117,7 @@ def reported_buses(settings: Settings, scope: Scope, span: Shift, now: UnixTime)
 
 
 class SpanFigures:
-    """Reads what units and lines did from the history of the running server."""
+    """The reader of the figures of units and lines from the history of the running server."""
 
     def __init__(
         self, settings: Settings, database: Database, history: History, clock: Clock = unix_now
@@ -131,8 +131,8 @@ class SpanFigures:
         self._is_wanted = asyncio.Event()
 
     async def units(self, span: Shift, scope: Scope, now: UnixTime) -> FoundUnits:
-        """Return what each unit did. They are read one by one, so that other reads come in between. Raises
-        StoreError."""
+        """Return the report of each unit. Units are read one by one, so that other reads come in between.
+        Raise StoreError."""
         found = []
         for bus, figures in reported_buses(self._settings, scope, span, now):
             for unit in figures.units:
@@ -144,7 +144,7 @@ class SpanFigures:
         return found
 
     async def shift(self, shift: Shift) -> LineFigures:
-        """Return the figures of a shift, up to now if it is under way. Raises StoreError."""
+        """Return the figures of a shift, up to now if it is under way. Raise StoreError."""
         found = self._known(shift)
         if found is None:
             now = self._clock()
@@ -166,7 +166,7 @@ class SpanFigures:
         return found
 
     async def follow(self) -> None:
-        """Read the figures that were wanted, one shift after the other, indefinitely."""
+        """Read the figures that were wanted, one shift after the other, until canceled."""
         while True:
             await self._is_wanted.wait()
             while self._wanted:

@@ -1,7 +1,7 @@
-"""The notes of shifts, and their pictures in a store beside the main one, as a large write must not delay a
+"""Notes of shifts, and their pictures in a store beside the main one, as a large write must not delay a
 command.
 
-They are bounded: recent shifts only, so many an hour, while the disk has space. A note is written once; a
+Notes are limited: to recent shifts, to a rate, and to the free disk space. A note is written once; a
 correction is a new note that names the earlier one.
 """
 
@@ -30,14 +30,14 @@ from bus.messages import Message
 from bus.pacing import Bucket
 
 MAX_AGE_DAYS = 31
-"""How long ago a shift may have ended that gets notes or signatures: a plant may be closed for weeks."""
+"""The time after its end in which a shift takes notes and signatures: a plant may be closed for weeks."""
 MAX_PER_HOUR = 60
-"""Notes and pictures of one person: so many at once, then so many an hour."""
+"""The notes and pictures of one person: at most this many at once and in an hour."""
 DAY_S, HOUR_S = 86_400.0, 3600.0
 
 
 class Quota:
-    """A bound on what each person stores. ``folder``: where the stores are."""
+    """A limit on the data that each person stores. ``folder``: the folder of the stores."""
 
     def __init__(
         self, folder: Path, clock: Clock = unix_now, monotonic: MonotonicClock = monotonic_now
@@ -50,18 +50,18 @@ class Quota:
         )
 
     def is_recent(self, shift: Shift) -> bool:
-        """Return whether a shift can still be written to."""
+        """Return whether a shift still takes notes and signatures."""
         return shift.end >= self._clock() - MAX_AGE_DAYS * DAY_S
 
     def check(self, shift: Shift) -> None:
-        """Raises Problem 409 for a shift of long ago, 503 where the disk is kept for commands."""
+        """Raise Problem 409 for a shift of long ago, 503 if the disk space is kept for commands."""
         if not self.is_recent(shift):
             raise Problem(409, "not_in_state", Message.of("shift_too_old", n=MAX_AGE_DAYS))
         if free_bytes(self._folder) < MIN_FREE_OF_OTHERS:
             raise Problem(503, "store", Message("shift_disk_full"))
 
     def count_note(self, sender: str, parts: int) -> None:
-        """Count a note with its pictures. Raises Problem 429 after too many of one sender."""
+        """Count a note with its pictures. Raise Problem 429 after too many of one sender."""
         bucket, now = self._taken[sender], self._monotonic()
         if not bucket.take(now, parts):
             problem = Problem(429, "too_many", Message.of("shift_quota_used", n=MAX_PER_HOUR))
@@ -69,25 +69,25 @@ class Quota:
             raise problem.with_headers(Retry_After=str(ceil(bucket.wait_s(now, parts))))
 
     def rate_limit(self, sender: str) -> RateLimit:
-        """Return what this sender may still store."""
+        """Return the amount that this sender may still store."""
         return RateLimit.of_bucket(self._taken[sender], self._monotonic())
 
 
 MAX_NOTES = 500
-"""Notes of a shift: a sheet is read by people."""
+"""The most notes of a shift: people have to read a sheet."""
 MAX_OF_SPAN = 200
-"""Notes of a span of any length: a chart has room for fewer."""
+"""The most notes of a span of any length: a chart has room for fewer."""
 MAX_READ = 5000
 MAX_PICTURES = 20
 MAX_OF_SITE = 200_000
-"""Notes of all shifts: five years with 100 a day."""
+"""The most notes of all shifts: five years with 100 a day."""
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """``at``: what it is about, ``alarm``: the id of an occurrence, ``sender``: the account with the time of
-    its creation, ``key``: by which its sender repeats the request,
-    ``pictures``: their digests, separated by blanks."""
+    """A note in the store. ``at``: the time that it is about; ``alarm``: the id of an occurrence; ``sender``:
+    the account with the time of its creation; ``key``: identifies the sender's request; ``pictures``:
+    digests, separated by blanks."""
 
     at: UnixTime
     written_at: UnixTime
@@ -104,7 +104,7 @@ class Note:
 
 
 class RepeatedNoteError(Exception):
-    """The request was carried out before; ``note`` is what it made."""
+    """Raised for a request that was carried out before; ``note``: its result."""
 
     def __init__(self, note: Note) -> None:
         super().__init__(note.id)
@@ -119,13 +119,13 @@ _INSERT = f"INSERT INTO shift_note ({', '.join(_COLUMNS)}) VALUES ({_MARKS}) RET
 
 
 def notes_of(connection: StoreConnection, shift: Shift) -> list[Note]:
-    """Return the notes of a shift in the order of what they are about."""
+    """Return the notes of a shift in the order of the times that they are about."""
     rows = connection.execute(f"{_SELECT} WHERE at >= ? AND at < ? ORDER BY at, id", (shift.start, shift.end))
     return [Note(*row) for row in rows]
 
 
 def notes_between(connection: StoreConnection, start: UnixTime, end: UnixTime) -> list[Note]:
-    """Return the newest notes about a time of a span, in order, without those that were corrected."""
+    """Return the newest notes about times in a span, in order, without those that were corrected."""
     corrected = "SELECT corrects FROM shift_note WHERE corrects IS NOT NULL"
     query = (
         f"{_SELECT} WHERE at >= ? AND at < ? AND id NOT IN ({corrected}) ORDER BY at DESC, id DESC LIMIT ?"
@@ -134,13 +134,13 @@ def notes_between(connection: StoreConnection, start: UnixTime, end: UnixTime) -
 
 
 def counts_of(connection: StoreConnection, shifts: list[Shift]) -> list[int]:
-    """Return how many notes each shift has."""
+    """Return the number of notes of each shift."""
     query = "SELECT count(*) FROM shift_note WHERE at >= ? AND at < ?"
     return [connection.execute(query, (shift.start, shift.end)).fetchone()[0] for shift in shifts]
 
 
 def find_repeated(connection: StoreConnection, note: Note) -> Note | None:
-    """Return the note that this request made before. Raises Problem 422 where its key was for another one."""
+    """Return the note that this request made before. Raise Problem 422 if its key was for another note."""
     row = connection.execute(f"{_SELECT} WHERE sender = ? AND key = ?", (note.sender, note.key)).fetchone()
     if row is None:
         return None
@@ -152,15 +152,15 @@ def find_repeated(connection: StoreConnection, note: Note) -> Note | None:
 
 
 def add(connection: StoreConnection, note: Note, shift: Shift) -> int:
-    """Store a note, and return its number. Raises as `check`."""
+    """Store a note, and return its number. Raise the errors of :func:`check`."""
     check(connection, note, shift)
     [(number,)] = connection.execute(_INSERT, astuple(note)[:-1])
     return int(number)
 
 
 def check(connection: StoreConnection, note: Note, shift: Shift) -> None:
-    """Raises RepeatedNoteError, and Problem 404 or 409 where it corrects a note that was corrected, its alarm
-    never was, or the shift has no room."""
+    """Raise RepeatedNoteError; raise Problem 404 or 409 if the note corrects a corrected note, its alarm
+    never occurred, or the shift has no room."""
     repeated = find_repeated(connection, note)
     if repeated is not None:
         raise RepeatedNoteError(repeated)
@@ -182,7 +182,7 @@ def check(connection: StoreConnection, note: Note, shift: Shift) -> None:
 
 
 def occurrence(connection: StoreConnection, alarm_id: str) -> JournalEntry:
-    """Return the last transition of an occurrence of an alarm. Raises Problem 404."""
+    """Return the last transition of an occurrence of an alarm. Raise Problem 404."""
     alarm, _, number = alarm_id.rpartition(".")
     query = f"SELECT {_ENTRY} FROM alarm_journal WHERE alarm = ? AND occurrence = ? ORDER BY id DESC LIMIT 1"
     is_number = number.isascii() and number.isdigit() and len(number) < 19
@@ -193,7 +193,7 @@ def occurrence(connection: StoreConnection, alarm_id: str) -> JournalEntry:
 
 
 def find(connection: StoreConnection, number: int, shift: Shift) -> Note:
-    """Return a note of a shift. Raises Problem 404."""
+    """Return a note of a shift. Raise Problem 404."""
     row = connection.execute(f"{_SELECT} WHERE id = ?", (number,)).fetchone()
     if row is None or not shift.holds(row["at"]):
         raise Problem(404, "unknown_note", Message.of("shift_note_unknown", note=number))
@@ -206,12 +206,12 @@ FILE = "pictures.db"
 MIGRATIONS = Path(__file__).parent / "migrations"
 MAX_OF_NOTE = 3
 MAX_PICTURE_BYTES = 1024**2
-"""Bytes of one picture."""
+"""The most bytes of one picture."""
 MB = 1_000_000
 
 
 def judged(contents: Sequence[bytes]) -> dict[str, PlainPicture]:
-    """Return the pictures by the SHA-256 of what is kept of them. Raises Problem 422, CallerError."""
+    """Return the pictures by the SHA-256 of the stored content. Raise Problem 422 or CallerError."""
     if len(contents) > MAX_OF_NOTE:
         raise Problem(422, "invalid", Message.of("pictures_too_many", n=MAX_OF_NOTE))
     if any(len(content) > MAX_PICTURE_BYTES for content in contents):
@@ -221,7 +221,7 @@ def judged(contents: Sequence[bytes]) -> dict[str, PlainPicture]:
 
 
 class PictureStore:
-    """The store is opened with the first picture: most sites have none."""
+    """The store of pictures, opened with the first picture: most sites have none."""
 
     def __init__(self, folder: Path, max_mb: int) -> None:
         self._path = folder / FILE
@@ -230,7 +230,7 @@ class PictureStore:
         self._database: Database | None = None
 
     async def add(self, pictures: dict[str, PlainPicture]) -> None:
-        """Store pictures that are not there yet. Raises Problem 409 where there is no room for them."""
+        """Store the pictures that are not stored yet. Raise Problem 409 if there is no room for them."""
         rows = [(digest, each.media_type, each.content) for digest, each in pictures.items()]
         if rows:
             database = await self._opened()
@@ -243,8 +243,8 @@ class PictureStore:
         connection.executemany(query, rows)
 
     async def find(self, digest: str) -> PlainPicture:
-        """Raises Problem 404, also for one that is not what its digest names; StoreError where the store is
-        damaged."""
+        """Return a picture. Raise Problem 404, also for content that does not fit its digest; StoreError if
+        the store is damaged."""
         query = "SELECT media_type, content FROM picture WHERE digest = ?"
         row = None
         if self._path.exists():
@@ -255,8 +255,8 @@ class PictureStore:
         return PlainPicture(*row)
 
     async def all_of(self, digests: Iterable[str]) -> dict[str, PlainPicture]:
-        """Return the pictures of these digests that can be read. Damage costs only the pictures that it is
-        in."""
+        """Return the pictures of these digests that can be read. Damage affects only the pictures that have
+        it."""
         found = {}
         for digest in digests:
             try:

@@ -1,7 +1,7 @@
-"""Shifts by the clock of the site, what a sheet or a report is about, and which moment of a shift a picture
-shows. Pure.
+"""Shifts by the clock of the site, the scope of a sheet or report, and the parts of a picture that are kept.
+Pure.
 
-A shift lasts from one start to the next. Where the clocks change, one is an hour shorter or longer.
+A shift lasts from one start to the next. Where the clocks change, a shift is an hour shorter or longer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ DAY = timedelta(days=1)
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """From ``start`` up to ``end``, which is the start of the next one."""
+    """A shift from ``start`` up to ``end``, which is the start of the next shift."""
 
     start: UnixTime
     end: UnixTime
@@ -33,14 +33,14 @@ class Shift:
 
 
 def shift_at(at: UnixTime, starts: Sequence[int], zone: ZoneInfo) -> Shift:
-    """Return the shift that a moment is in. ``starts``: minutes after local midnight, at least one."""
+    """Return the shift of a moment. ``starts``: minutes after local midnight, at least one."""
     edges = _edges(_day(at, zone), starts, zone)
     later = next(index for index, edge in enumerate(edges) if edge > at)
     return Shift(edges[later - 1], edges[later])
 
 
 def shifts_until(at: UnixTime, starts: Sequence[int], zone: ZoneInfo) -> Iterator[Shift]:
-    """Yield the shift that a moment is in, and those before it, newest first."""
+    """Yield the shift of a moment and the shifts before it, newest first."""
     shift = shift_at(at, starts, zone)
     while True:
         yield shift
@@ -48,7 +48,7 @@ def shifts_until(at: UnixTime, starts: Sequence[int], zone: ZoneInfo) -> Iterato
 
 
 def instant_of(minute: int, shift: Shift, zone: ZoneInfo) -> UnixTime | None:
-    """Return the first moment of a shift at which the clock shows this minute of the day; None: it never
+    """Return the first moment of a shift at which the clock shows this minute of the day; None if it never
     does."""
     first = datetime.combine(_day(shift.start, zone), datetime.min.time())
     for days in range(3):
@@ -61,13 +61,13 @@ def instant_of(minute: int, shift: Shift, zone: ZoneInfo) -> UnixTime | None:
 
 
 def site_time(at: UnixTime, zone: ZoneInfo) -> str:
-    """Return a moment by the clock of the site, for messages."""
+    """Return a moment by the clock of the site, as text for messages."""
     return datetime.fromtimestamp(float(at), zone).strftime("%Y-%m-%d %H:%M")
 
 
 def _edges(day: date, starts: Sequence[int], zone: ZoneInfo) -> list[UnixTime]:
-    """Return every start from the day before to the day after next, in order. One that the clocks skip is
-    where they go on."""
+    """Return every start from the day before to the day after next, in order. A start that the clocks skip is
+    the moment at which they go on."""
     midnights = (datetime.combine(day + days * DAY, datetime.min.time()) for days in (-2, -1, 0, 1, 2))
     return sorted(
         {
@@ -89,18 +89,17 @@ def _clock(at: UnixTime, zone: ZoneInfo) -> int:
 
 
 class Scope(NamedTuple):
-    """``bus`` None: the site; ``unit`` None: all units of the bus."""
+    """The scope of a sheet or report. ``bus`` None: the site; ``unit`` None: all units of the bus."""
 
     bus: str | None = None
     unit: int | None = None
 
     def holds(self, bus: str | None, unit: int | None) -> bool:
-        """Return whether what is about a place is about this."""
+        """Return whether the scope includes a place."""
         return self.bus in (None, bus) and self.unit in (None, unit)
 
     def concerns(self, bus: str | None, unit: int | None) -> bool:
-        """Return whether people of this have to know what is about a place: also of its line, and of the
-        site."""
+        """Return whether people of the scope must know about a place: also about its line and the site."""
         return (
             bus is None
             or self.bus is None
@@ -118,7 +117,7 @@ EVERYTHING = Scope()
 
 UPRIGHT = 1
 TURNED = range(2, 9)
-"""Values of the entry by which browsers turn or mirror a picture (``image-orientation: from-image``)."""
+"""The values of the Exif entry by which browsers turn or mirror a picture (``from-image``)."""
 _ORIENTATION = 0x0112
 _SHORT = 3
 _ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
@@ -126,8 +125,8 @@ _ENTRY_BYTES = 12
 
 
 def orientation_of(exif: bytes) -> int:
-    """Return 1 (upright) to 8; upright for what is no Exif data or states no orientation. At most the 65,535
-    entries of one directory are read."""
+    """Return the orientation, 1 (upright) to 8; upright for data that is not Exif or states none. Read at
+    most the 65,535 entries of one directory."""
     order = _ORDERS.get(exif[:4])
     if order is None:
         return UPRIGHT
@@ -144,47 +143,47 @@ def orientation_of(exif: bytes) -> int:
 
 
 def exif_of(orientation: int) -> bytes:
-    """Return Exif data with this entry and nothing else: 26 bytes."""
+    """Return Exif data with only this entry: 26 bytes."""
     return b"MM\0*" + pack(">IHHHIHHI", 8, 1, _ORIENTATION, _SHORT, 1, orientation, 0, 0)
 
 
 def plain_exif(exif: bytes) -> bytes:
-    """Return Exif data with its orientation alone; empty for a picture that is upright."""
+    """Return Exif data with only its orientation; empty for a picture that is upright."""
     orientation = orientation_of(exif)
     return exif_of(orientation) if orientation in TURNED else b""
 
 
 PictureType = Literal["image/jpeg", "image/png", "image/webp"]
 MAX_PIXELS = 25_000_000
-"""A browser takes 100 MB to draw them."""
+"""The most pixels of a picture; a browser takes 100 MB to draw them."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_KEPT = (b"IHDR", b"PLTE", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"IDAT", b"IEND")
 _WEBP_KEPT = (b"VP8X", b"VP8 ", b"VP8L", b"ALPH")
 _ALPHA = 0x10
-"""The one flag of VP8X that stays."""
+"""The only flag of VP8X that stays."""
 _EXIF = b"Exif\0\0"
 _FRAMES = frozenset((*range(0xC0, 0xD0),)) - {0xC4, 0xC8, 0xCC}
-"""SOF0 to SOF15: these hold the size."""
+"""The markers SOF0 to SOF15: they hold the size."""
 _JPEG_KEPT = _FRAMES | {0xC4, 0xCC, 0xDA, 0xDB, 0xDC, 0xDD, 0xEE}
-"""Frames, tables, scans, restart intervals and Adobe's segment, which states how colors are coded."""
+"""Frames, tables, scans, restart intervals and Adobe's segment, which states the coding of colors."""
 _IN_SCAN = (0x00, *range(0xD0, 0xD8))
-"""Bytes after 0xFF that are data of a scan."""
+"""The bytes after 0xFF that are data of a scan."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlainPicture:
-    """``content``: the picture without anything else."""
+    """A picture whose ``content`` has no metadata."""
 
     media_type: PictureType
     content: bytes
 
 
 class _BrokenPictureError(Exception):
-    """The content is not what its first bytes promise."""
+    """Raised if the content is not of the type that its first bytes state."""
 
 
 def plain_picture(content: bytes) -> PlainPicture:
-    """Raises CallerError for what is no such picture, or has too many pixels."""
+    """Return a picture without metadata. Raise CallerError for other content or too many pixels."""
     try:
         if content.startswith(b"\xff\xd8\xff"):
             return PlainPicture("image/jpeg", b"\xff\xd8" + b"".join(_jpeg(content)) + b"\xff\xd9")
@@ -268,7 +267,7 @@ def _kept(kind: bytes, data: bytes) -> bytes:
 
 
 def _check_webp(kind: bytes, data: bytes) -> bool:
-    """Check the size that a chunk states; whether the chunk is the picture itself."""
+    """Check the size that a chunk states; return whether the chunk is the picture."""
     if kind == b"VP8X":
         _check_size(1 + int.from_bytes(data[4:7], "little"), 1 + int.from_bytes(data[7:10], "little"))
     elif kind == b"VP8 ":

@@ -1,6 +1,6 @@
-"""Shifts: the sheet of each, its rendering as one HTML file that needs no server, and its signing.
+"""The service of shifts: the sheet of each, its rendering as one HTML file that needs no server, its signing.
 
-The leaving person signs first, which freezes the sheet; then the coming one signs the same.
+The leaving person signs first, which freezes the sheet; then the coming person signs the same sheet.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ from bus.validation import OneLine, TypedText
 
 log = structlog.get_logger()
 CLOCK_SKEW_S = 5.0
-"""By which the clock of a client may be ahead."""
+"""The seconds that the clock of a client may be ahead."""
 
 
 @dataclass(frozen=True, slots=True)
 class NewNote:
-    """A note as it was requested. ``at`` and ``clock`` (06:30, at the site) both empty: now."""
+    """A note as requested. ``clock``: site time such as 06:30. Now if ``at`` and ``clock`` are both empty."""
 
     text: str
     at: UnixTime | None = None
@@ -79,7 +79,7 @@ class NewNote:
 
 @dataclass(frozen=True, slots=True)
 class ShiftSummary:
-    """A shift in the list."""
+    """A shift in the list of shifts."""
 
     start: InstantObject
     end: InstantObject
@@ -90,8 +90,8 @@ class ShiftSummary:
 
 @dataclass(frozen=True, slots=True)
 class SheetOfShift:
-    """``sheet``: its JSON, as it was signed where it is. ``later``: the notes that were written since.
-    ``missing``: the signatures that the audit log names and the store has lost."""
+    """The sheet of a shift. ``sheet``: its JSON, as signed if it is signed. ``later``: the notes written
+    after that. ``missing``: the signatures that the audit log names and the store has lost."""
 
     shift: Shift
     sheet: bytes
@@ -101,7 +101,7 @@ class SheetOfShift:
 
 
 class Handover:
-    """What people write about a shift, and what the store holds of it."""
+    """The service for a shift's notes, and for the stored data about a shift."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class Handover:
         self._clock = clock
 
     async def shift_of(self, start: datetime) -> Shift:
-        """Return the shift that starts then. Raises Problem 404."""
+        """Return the shift that starts at this time. Raise Problem 404."""
         at, now = UnixTime(start.timestamp()), self._clock()
         if not UnixTime(0.0) < at <= now:
             raise Problem(404, "unknown_shift", Message("shift_not_begun"))
@@ -142,13 +142,13 @@ class Handover:
         return self.shift_at(self._clock())
 
     def shift_at(self, at: UnixTime) -> Shift:
-        """Return the shift that a moment is in."""
+        """Return the shift of a moment."""
         return shift_at(at, self._starts, self.zone)
 
     async def summaries(self, before: datetime | None, limit: int) -> list[ShiftSummary]:
-        """Return the shifts that begin before a moment, newest first; None: from the present one on.
+        """Return the shifts that begin before a moment, newest first; None: from the present shift on.
 
-        Raises Problem 422 for a year before any shift.
+        Raise Problem 422 for a year before any shift.
         """
         latest = self._clock()
         if before is not None:
@@ -158,7 +158,7 @@ class Handover:
         return await self._database.read(lambda connection: _summaries(connection, shifts, latest))
 
     async def sheet(self, shift: Shift) -> SheetOfShift:
-        """Return the sheet of a shift, as it was signed or as it would be now; read at one instant."""
+        """Return the sheet of a shift as signed, else as the store is now, all read at one instant."""
         now, line = self._clock(), await self.line(shift)
 
         def read(connection: StoreConnection) -> SheetOfShift:
@@ -168,7 +168,7 @@ class Handover:
         return await self._database.read_costly(read)
 
     async def line(self, shift: Shift) -> LineFigures | None:
-        """Return what the line did in a shift; None where the history cannot be read."""
+        """Return the figures of the line in a shift; None if the history cannot be read."""
         try:
             return await self.figures.shift(shift)
         except StoreError as error:
@@ -191,7 +191,7 @@ class Handover:
         return SheetOfShift(shift, signed.sheet, signed, later, missing)
 
     async def signed(self, shift: Shift) -> tuple[SignedSheet | None, list[MissingSignature]]:
-        """Return the signed sheet of a shift, and the signatures of the audit log that the store has lost."""
+        """Return a shift's signed sheet, and the signatures of the audit log that the store has lost."""
         return await self._database.read(lambda connection: self._signed(connection, shift))
 
     def _signed(
@@ -201,8 +201,8 @@ class Handover:
         return signed_sheet(connection, shift.start), missing
 
     async def notes_between(self, start: UnixTime, end: UnixTime, units: Sequence[str]) -> list[Note]:
-        """Return the newest notes about a time of a span, in order: of the site, and of each ``bus/unit`` and
-        its bus; without any, all."""
+        """Return the newest notes about times in a span, in order: those of the site, and those of each
+        ``bus/unit`` and its bus; all if ``units`` is empty."""
         buses = {unit.rpartition("/")[0] for unit in units}
 
         def concerns(note: Note) -> bool:
@@ -214,7 +214,7 @@ class Handover:
         return [note for note in found if concerns(note)][-notes.MAX_OF_SPAN :]
 
     async def write(self, person: Person, shift: Shift, new: NewNote) -> Note:
-        """Store a note; one that its sender sends again with its key is stored once. Raises Problem."""
+        """Store a note; one that its sender repeats with the same key is stored once. Raise Problem."""
         act = WRITE_NOTE if new.corrects is None else CORRECT_NOTE
         act.check(person)
         self.check_place(new.bus, new.unit)
@@ -261,7 +261,7 @@ class Handover:
         return replace(note, id=stored[0])
 
     async def _time_of(self, shift: Shift, new: NewNote) -> UnixTime:
-        """Return the moment that a note is about. A correction is about that of the note that it corrects."""
+        """Return the moment that a note is about; for a correction, the moment of the corrected note."""
         now, number = self._clock(), new.corrects
         if number is not None:
             return (await self._database.read(lambda store: notes.find(store, number, shift))).at
@@ -278,7 +278,7 @@ class Handover:
         return min(at, now)
 
     def check_place(self, bus: str | None, unit: int | None) -> None:
-        """Check that a note can be about a place. Raises Problem 404, and 422 for a unit without its bus."""
+        """Check that a note can be about a place. Raise Problem 404, or 422 for a unit without a bus."""
         if bus is not None and bus not in self._units:
             raise unknown_bus(bus, self._units)
         if unit is not None and bus is None:
@@ -287,7 +287,7 @@ class Handover:
             raise unknown_unit(bus, unit)
 
     async def occurrence(self, alarm_id: str) -> JournalEntry:
-        """Return the last transition of an occurrence that a note can be about. Raises Problem 404."""
+        """Return the last transition of an occurrence that a note can be about. Raise Problem 404."""
         return await self._database.read(lambda store: notes.occurrence(store, alarm_id))
 
     def local(self, at: UnixTime) -> str:
@@ -295,8 +295,8 @@ class Handover:
 
 
 def _summaries(connection: StoreConnection, shifts: list[Shift], latest: UnixTime) -> list[ShiftSummary]:
-    """Return the computed shifts, and the signed ones until ``latest`` that had other times by their
-    configuration: one may have begun within the newest of the computed."""
+    """Return the computed shifts, and the signed shifts until ``latest`` whose times came from an earlier
+    configuration: one may have begun within the newest computed shift."""
     signed = signed_between(connection, shifts[-1].start, latest)
     starts = {shift.start: shift for shift in (*shifts, *signed)}
     listed = sorted(starts.values(), key=lambda shift: -float(shift.start))
@@ -316,15 +316,15 @@ APART = {
         "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox"
     )
 }
-"""For files with what people have written: they are never a page of this site."""
+"""The headers of files that contain people's texts: such a file is never a page of this site."""
 INSTANTS = frozenset({"start", "end", "until", "made_at", "time", "came", "written_at"})
 _PICTURE = re.compile(r'(?<=<img src=")sha256:([0-9a-f]{64})(?=")')
-"""How the page of a sheet names a picture. What people write cannot: it is escaped."""
+"""The name of a picture in the page of a sheet. People's texts cannot contain it: they are escaped."""
 
 
 def readable(part: Any) -> Any:
-    """Return a sheet of the API, or a part of one, as templates show it: moments for its instants, and
-    messages, which each reader has in their language, for its texts."""
+    """Return a sheet of the API, or a part of one, for templates: with moments instead of instants, and
+    messages, which appear in the language of each reader, instead of texts."""
     match part:
         case {"code": _, "params": _}:
             return msgspec.convert(part, Message)
@@ -344,14 +344,14 @@ def _moment(text: str | None) -> UnixTime | None:
 
 
 def _texts_of(transition: Mapping[str, Any]) -> dict[str, str | Message]:
-    """Return the name of an alarm, of a built-in one as a message; and its state."""
+    """Return the name of an alarm (of a built-in one as a message) and its state."""
     alarm, code = transition["alarm"].rpartition(".")[0], transition["code"]
     title = Message(f"alarm_{code}") if alarm.endswith(f".{code}") else transition["name"]
     return {"title": title, "state": Message(f"alarm_state_{transition.get('at_end', transition['after'])}")}
 
 
 class SheetDocuments:
-    """The rendering of sheets apart from any request."""
+    """The renderer of sheets, which needs no request."""
 
     def __init__(
         self, templates: Templates, assets: Assets, alarms: LineAlarms, pictures: PictureStore
@@ -362,12 +362,12 @@ class SheetDocuments:
         self._pictures = pictures
 
     def page(self, sheet: bytes) -> bytes:
-        """Return the page of a sheet, without its signatures: what is signed beside the data."""
+        """Return the page of a sheet without its signatures; it is signed together with the data."""
         shown = readable(msgspec.json.decode(sheet))
         return self._rendered("handover/_frozen.html", sheet=shown, place_of=self._alarms.place).encode()
 
     async def document(self, found: SheetOfShift) -> str:
-        """Return the page with its signatures and pictures as a file."""
+        """Return the page with its signatures and pictures as one file."""
         page = (found.signed.page if found.signed else self.page(found.sheet)).decode()
         named = dict.fromkeys(_PICTURE.findall(page))
         pictures = await self._pictures.all_of(named)
@@ -388,7 +388,7 @@ class SheetDocuments:
 
 
 def _inline(digest: str, pictures: Mapping[str, PlainPicture]) -> str:
-    """Return a picture as an address that holds it; one that is lost keeps its name."""
+    """Return an address that contains the picture; a lost picture keeps its name."""
     found = pictures.get(digest)
     if found is None:
         return f"sha256:{digest}"
@@ -396,13 +396,13 @@ def _inline(digest: str, pictures: Mapping[str, PlainPicture]) -> str:
 
 
 PageWriter = Callable[[bytes], bytes]
-"""Makes the page of a sheet, in the language of the site, from its JSON."""
+"""A function that makes a sheet's page, in the language of the site, from its JSON."""
 EARLIEST_S = 1800.0
-"""Before the end of a shift: people meet before it."""
+"""The seconds before the end of a shift at which it can be signed: people meet before its end."""
 
 
 class ShiftSignRequest(StrictBody):
-    """Who signs what. Without a name it is the user of the session; a token names a user and the password."""
+    """A signature request. Without a name, the session's user signs; a token needs a name and password."""
 
     part: Annotated[
         SignedPart | None, Field(description="leaving, then coming; null: the one that is missing.")
@@ -419,7 +419,7 @@ class ShiftSignRequest(StrictBody):
 
 
 class Signing:
-    """The signatures of a site's shifts."""
+    """The service that signs the shifts of a site."""
 
     def __init__(
         self,
@@ -438,8 +438,8 @@ class Signing:
         self._clock = clock
 
     async def sign(self, person: Person, address: str, shift: Shift, request: ShiftSignRequest) -> None:
-        """Sign the sheet of a shift. Raises Problem 409 where it is signed already or the other part is due,
-        401 for a wrong password, 403 for one who may not sign, and as `Quota.check`."""
+        """Sign the sheet of a shift. Raise Problem 409 if it is signed already or the other part is due, 401
+        for a wrong password, 403 for a user who may not sign, and the errors of `Quota.check`."""
         SIGN.check(person)
         self._handover.quota.check(shift)
         signer = await self._signer(person, address, request)
@@ -459,7 +459,7 @@ class Signing:
         await self._store(signer, part, signed, request.reason.strip())
 
     def early_until(self, shift: Shift) -> UnixTime | None:
-        """Return until when only a reason lets a shift be handed over; None: its end is near."""
+        """Return the time before which a handover needs a reason; None if the shift's end is near."""
         earliest = shift.end - EARLIEST_S
         return earliest if self._clock() < earliest else None
 
@@ -494,7 +494,7 @@ class Signing:
         )
 
     async def _signer(self, person: Person, address: str, request: ShiftSignRequest) -> Person:
-        """Return the user of the name and password, where they are given; else that of the session."""
+        """Return the user of the name and password if they are given, else the user of the session."""
         if not request.name and not request.password:
             if person.via != "session" or person.panel:
                 raise Problem(403, "forbidden", Message("shift_sign_needs_person"))

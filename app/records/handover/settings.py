@@ -1,4 +1,4 @@
-"""``[shift]`` of lineside.toml."""
+"""The settings of shifts: ``[shift]`` of lineside.toml."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from bus.settings import StrictModel
 
 
 class ShiftSettings(StrictModel):
-    """When the shifts of the site begin, and what people store of them."""
+    """The start times of the site's shifts, and the space for pictures."""
 
     starts: Annotated[tuple[ClockTime, ...], Field(min_length=1, max_length=24)] = ("06:00", "14:00", "22:00")
-    """Local times; a shift lasts until the next of them."""
+    """The local times at which shifts start; a shift lasts until the next start."""
     pictures_mb: Annotated[int, Field(ge=0, le=1_000_000)] = 2_000
-    """What the pictures of all notes may take."""
+    """The most space for the pictures of all notes, in MB."""
 
     @property
     def minutes(self) -> list[int]:

@@ -1,6 +1,6 @@
-"""Makes the sheet of a shift from the store: alarms and blocks at its end, its events, notes and figures.
+"""The sheet of a shift, made from the store: the alarms and blocks at its end, its events, notes, figures.
 
-What the store does not hold is an omission, never a guess.
+Data that the store does not hold is named as an omission, never guessed.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from bus.instants import UnixTime
 from bus.messages import Message
 
 MAX_EVENTS = 200
-"""Events of one kind on a sheet, the newest; the events page has all."""
+"""The most events of one kind on a sheet, the newest; the events page has all."""
 STARTING_S = 60.0
-"""An event so shortly before a start of the server belongs to that start."""
+"""The seconds before a start of the server in which an event belongs to that start."""
 _OUTCOME = "COALESCE(f.outcome, e.outcome, '')"
 _ENTRY = ", ".join(f"j.{field.name}" for field in fields(JournalEntry))
 _LAST_TRANSITIONS = f"""
@@ -62,7 +62,7 @@ AND e.id NOT IN (SELECT event FROM event_parts)
 
 
 class ShiftEventsShown(TypedDict):
-    """Events of the shift: at most the newest 200, oldest first."""
+    """The events of the shift: at most the newest 200, oldest first."""
 
     total: Annotated[int, Field(description="How many there were in all.")]
     outcomes: Annotated[dict[str, int], Field(description="How many had each outcome; empty: had none.")]
@@ -117,19 +117,19 @@ class ShiftEvents:
 
 
 def event_json(event: Event) -> EventShown:
-    """Return an event as the API has it, without the frames, which are in the events."""
+    """Return an event as JSON of the API without its frames, which the events have."""
     return cast(EventShown, shown({**event, "frames": "[]"}))
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmThen(JournalEntry):
-    """The last transition of an alarm before a moment, and when the alarm came; None: it never has."""
+    """The last transition of an alarm before a moment, and the time when the alarm came (None: never)."""
 
     came: UnixTime | None = None
 
 
 class ShiftAlarm(AlarmTransition):
-    """An alarm as it was at the end, by its last transition."""
+    """An alarm in its state at the end, by its last transition."""
 
     came: NotRequired[
         Annotated[
@@ -156,8 +156,8 @@ def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> lis
 
 
 def first_gap(connection: StoreConnection, shift: Shift) -> tuple[UnixTime, UnixTime] | None:
-    """Return the time from the last record before a start of the server up to that start, where it reaches
-    into a shift."""
+    """Return the time from the last record before a start of the server to that start, if it reaches into a
+    shift."""
     start = connection.execute(_NEXT_START, (shift.start,)).fetchone()
     if start is None:
         return None
@@ -167,7 +167,7 @@ def first_gap(connection: StoreConnection, shift: Shift) -> tuple[UnixTime, Unix
 
 
 def first_event_at(connection: StoreConnection) -> UnixTime | None:
-    """Return when the log begins."""
+    """Return the time at which the log begins."""
     row = connection.execute("SELECT time FROM events ORDER BY id LIMIT 1").fetchone()
     return None if row is None else UnixTime(row["time"])
 
@@ -179,13 +179,13 @@ SECTIONS: dict[str, tuple[str, ...]] = {
     "done": ("command", "restore", "parameter_set", "swap", "block", "alarm"),
     "server": ("server", "configuration", "clock", "worker"),
 }
-"""The kinds of event in each."""
+"""The kinds of events in each section."""
 HIDDEN: tuple[AlarmState, ...] = ("shelved", "suppressed", "out_of_service")
 DRIFT = "parameter_drift"
 
 
 class ShiftNote(TypedDict):
-    """One note. It is never changed."""
+    """A note. It never changes."""
 
     id: int
     time: Annotated[Instant, Field(description="What it is about. ISO 8601, UTC.")]
@@ -201,7 +201,7 @@ class ShiftNote(TypedDict):
 
 
 class SignedShiftSheet(TypedDict):
-    """What the next shift has to know, up to ``until``."""
+    """The sheet for the next shift, up to ``until``."""
 
     start: Instant
     end: Instant
@@ -245,7 +245,7 @@ class SignedShiftSheet(TypedDict):
 
 
 class ShiftSignatures(TypedDict):
-    """What was signed."""
+    """The signatures of a sheet."""
 
     digest: Annotated[str, Field(description="SHA-256 of the sheet as JSON, hexadecimal.")]
     page_digest: Annotated[str, Field(description="SHA-256 of its page, hexadecimal.")]
@@ -255,7 +255,7 @@ class ShiftSignatures(TypedDict):
 
 
 class SignaturesOfSheet(TypedDict):
-    """What a sheet has beside what is signed."""
+    """The parts of a sheet that are not signed."""
 
     signed: ShiftSignatures | None
     missing_signatures: Annotated[
@@ -268,7 +268,7 @@ class SignaturesOfSheet(TypedDict):
 
 
 class ShiftSheet(SignedShiftSheet, SignaturesOfSheet):
-    """The sheet, as it was signed where it is."""
+    """The sheet of a shift, as signed if it is signed."""
 
 
 def write_sheet(
@@ -278,8 +278,8 @@ def write_sheet(
     now: UnixTime,
     scope: Scope = EVERYTHING,
 ) -> dict[str, Any]:
-    """Return the sheet of a shift as the store is at one instant; in a transaction. ``scope``: of a line or a
-    unit only, with the notes about the site."""
+    """Return the sheet of a shift as the store is at one instant, in a transaction. ``scope``: a line or a
+    unit to which the sheet is limited, with the notes about the site."""
     until = min(shift.end, now)
     seen = Shift(shift.start, until)
     alarms = [each for each in alarms_at(connection, until) if scope.holds(each.bus, each.unit)]
@@ -327,7 +327,7 @@ def _omissions(
 
 
 def signed_json(signed: SignedSheet | None) -> ShiftSignatures | None:
-    """Return the signatures as the API has them."""
+    """Return the signatures in the form of the API."""
     if signed is None:
         return None
     return {
@@ -340,7 +340,7 @@ def signed_json(signed: SignedSheet | None) -> ShiftSignatures | None:
 
 
 def notes_json(notes: Sequence[Note]) -> list[ShiftNote]:
-    """Return notes as the API has them."""
+    """Return notes in the form of the API."""
     corrected_by = {note.corrects: note.id for note in notes}
     return [
         {

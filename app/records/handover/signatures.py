@@ -1,4 +1,4 @@
-"""The acts of people on a shift, and the stored signatures: what who signed, and when."""
+"""The acts of people on a shift, and the stored signatures: the sheet, the user, the time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bus.instants import UnixTime
 from bus.messages import Message, term
 
 SignedPart = Literal["leaving", "coming"]
-"""Who signs: the person whose shift ends, then the one whose shift begins."""
+"""The part of a signer: the person whose shift ends signs first, then the one whose shift begins."""
 EVENTS: dict[SignedPart, str] = {"leaving": "event_shift_signed_over", "coming": "event_shift_taken_over"}
 
 _CODE, _START = json_member("messages", "what.code"), json_member("messages", "what.params.start")
@@ -34,7 +34,7 @@ FROM events WHERE kind = 'shift' AND about IS NULL AND {_CODE} IN (?, ?)
 
 @dataclass(frozen=True, slots=True)
 class ShiftSignature:
-    """Who signed, and when by the clock of the server."""
+    """A signature: the user, and the time by the clock of the server."""
 
     part: SignedPart
     who: str
@@ -47,13 +47,13 @@ class MissingSignature(ShiftSignature):
     """A signature that the audit log names and the store has lost."""
 
     start: Annotated[str, Field(exclude=True)]
-    """Of its shift, by the clock of the site."""
+    """The start of its shift, by the clock of the site."""
 
 
 @dataclass(frozen=True, slots=True)
 class SignedSheet:
-    """A sheet as it was signed: JSON, and its page in the language of the site. ``is_altered``: it is not the
-    one that the audit log names."""
+    """A sheet as signed: JSON, and its page in the language of the site. ``is_altered``: it is not the sheet
+    that the audit log names."""
 
     shift: Shift
     sheet: bytes
@@ -72,7 +72,7 @@ class SignedSheet:
 
 
 def signed_sheet(connection: StoreConnection, start: UnixTime) -> SignedSheet | None:
-    """Return the signed sheet of the shift that starts then."""
+    """Return the signed sheet of the shift that starts at this time."""
     row = connection.execute("SELECT ends, sheet, page FROM shift_sheet WHERE start = ?", (start,)).fetchone()
     if row is None:
         return None
@@ -89,7 +89,7 @@ def signatures_of(connection: StoreConnection, start: UnixTime) -> dict[SignedPa
 
 def missing_signatures(connection: StoreConnection, start: str | None = None) -> list[MissingSignature]:
     """Return the signatures that the audit log names and the store has lost, oldest first; ``start``: of one
-    shift. Of a store of any version."""
+    shift only. The store may have any version."""
     if not has_column(connection, "events", "messages"):
         return []
     stored = has_column(connection, "shift_signature", "event")
@@ -101,14 +101,14 @@ def missing_signatures(connection: StoreConnection, start: str | None = None) ->
 
 
 def signed_between(connection: StoreConnection, start: UnixTime, end: UnixTime) -> list[Shift]:
-    """Return the shifts with a signed sheet, newest first. They keep their times when the configuration
+    """Return the shifts with a signed sheet, newest first. They keep their times if the configuration
     changes."""
     query = "SELECT start, ends FROM shift_sheet WHERE start >= ? AND start <= ? ORDER BY start DESC"
     return [Shift(*row) for row in connection.execute(query, (start, end))]
 
 
 def freeze(connection: StoreConnection, signed: SignedSheet) -> None:
-    """Store a sheet that its first signature follows."""
+    """Store a sheet; its first signature follows."""
     row = signed.shift.start, signed.shift.end, signed.sheet, signed.digest, signed.page, signed.page_digest
     connection.execute("INSERT INTO shift_sheet VALUES (?, ?, ?, ?, ?, ?)", row)
 
@@ -122,7 +122,7 @@ def add(connection: StoreConnection, start: UnixTime, part: SignedPart, who: str
 def check_turn(
     signatures: Mapping[SignedPart, ShiftSignature], part: SignedPart, who: str, zone: ZoneInfo
 ) -> None:
-    """Check that a person may sign this part now. Raises Problem 409."""
+    """Check that a person may sign this part now. Raise Problem 409."""
     earlier = signatures.get(part)
     if earlier is not None:
         at = site_time(earlier.at, zone)

@@ -1,1 +1,1 @@
-"""Notification of people and programs of alarms: by rule, duty roster and escalation, with retries."""
+"""Notification of people and programs about alarms: rules, duty rosters and escalation, with retries."""

@@ -1,4 +1,4 @@
-"""Notification over HTTP: whether the path works, what was sent, a test, and maintenance."""
+"""The HTTP API of notification: the state of its addresses, sent messages, a test, maintenance."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ NotificationKind = TypeAliasType("NotificationKind", NoticeKind)
 
 
 class NotificationTestRequest(StrictBody):
-    """Which address."""
+    """The address for a test message."""
 
     endpoint: Annotated[str, Field(max_length=400, description="The key of an address.")]
 
 
 class MaintenanceRequest(StrictBody):
-    """A maintenance of a bus or, without one, of everything."""
+    """A maintenance of a bus or, without a bus, of everything."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
@@ -60,7 +60,7 @@ class MaintenanceRequest(StrictBody):
 
 
 class NotificationShown(TypedDict):
-    """The path of notification, current."""
+    """The present state of notification."""
 
     endpoints: list[NotificationEndpointShown]
     groups: list[NotificationGroup]
@@ -84,21 +84,21 @@ class NotificationDeliveryShown(TypedDict):
 
 
 class NotificationDeliveries(TypedDict):
-    """Newest first. ``next`` is the ``before`` of the next page, null at the end."""
+    """Deliveries, newest first. ``next`` is the ``before`` of the next page, null at the end."""
 
     deliveries: list[NotificationDeliveryShown]
     next: int | None
 
 
 class NotificationTest(TypedDict):
-    """``delivery`` is null where the first attempt takes longer than 12 s; it goes on."""
+    """A test message; ``delivery``: null if its first attempt takes longer than 12 s (it goes on)."""
 
     delivery: NotificationDeliveryShown | None
 
 
 @router.get("")
 async def get_notification(_: Engineer, notification: Notifying) -> NotificationShown:
-    """List every address with its last result, who is on duty, and maintenance."""
+    """List each address with its last result, the people on duty, and maintenance."""
     return {
         "endpoints": await notification.endpoints(),
         "groups": notification.groups(),
@@ -114,7 +114,7 @@ async def get_notification_deliveries(
     limit: Annotated[int, Query(ge=1, le=MAX_DELIVERIES)] = 100,
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> NotificationDeliveries:
-    """List what was sent, or will be."""
+    """List the messages that were or will be sent."""
     found = await notification.outbox.deliveries(limit + 1, before)
     following = found[limit - 1].id if len(found) > limit else None
     return {"deliveries": [_delivery(each) for each in found[:limit]], "next": following}
@@ -124,7 +124,7 @@ async def get_notification_deliveries(
 async def send_test_notification(
     person: Annotated[Person, SEND_TEST.permitted], notification: Notifying, body: NotificationTestRequest
 ) -> NotificationTest:
-    """Send a test message on the way of all others, and wait for its first attempt."""
+    """Send a test message like any other message, and wait for its first attempt."""
     delivery = await notification.test(person, body.endpoint)
     return {"delivery": None if delivery is None else _delivery(delivery)}
 
@@ -133,7 +133,7 @@ async def send_test_notification(
 async def begin_maintenance(
     person: Annotated[Person, BEGIN_MAINTENANCE.permitted], notification: Notifying, body: MaintenanceRequest
 ) -> list[MaintenanceShown]:
-    """Notify nothing for a time. What still waits for its acknowledgement at the end is notified then."""
+    """Notify nothing for a time. Alarms that are still unacknowledged at its end are notified then."""
     await notification.maintenance.begin(person, body.bus, body.minutes, body.reason)
     return notification.maintenance.present()
 
@@ -142,7 +142,7 @@ async def begin_maintenance(
 async def end_maintenance(
     person: Annotated[Person, END_MAINTENANCE.permitted], notification: Notifying, maintenance_id: int
 ) -> list[MaintenanceShown]:
-    """Notify again, before its time."""
+    """End a maintenance before its time: alarms are notified again."""
     await notification.maintenance.end(person, maintenance_id)
     return notification.maintenance.present()
 

@@ -1,4 +1,4 @@
-"""Writes what people and programs are sent: letters in the language of the site, JSON, and links to
+"""The texts that people and programs receive: letters in the language of the site, JSON, and links to
 alarms."""
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Letter:
 @dataclass(frozen=True, slots=True)
 class Composer:
     """The composer, which writes letters in the language of the site. ``link``: makes the link to an
-    occurrence, or nothing."""
+    occurrence, or an empty text."""
 
     site: str
     language: Language
@@ -130,7 +130,7 @@ def hook_body(site: str, delivery: NotificationDelivery, now: UnixTime) -> dict[
 
 
 def _rank(item: OutboxItem) -> tuple[int, bool, int]:
-    """Return the place of an item: alarms by priority, then what is about no alarm, then all-clears."""
+    """Return the place of an item: alarms by priority, then items without an alarm, then all-clears."""
     notice = item.alarm_notice
     priority = len(PRIORITIES) if notice is None else PRIORITIES.index(notice.priority)
     return priority if item.kind != "clear" else len(PRIORITIES) + 1, item.kind == "clear", item.id
@@ -142,22 +142,22 @@ def _is_urgent(item: OutboxItem) -> bool:
 
 
 def _one_line(text: str) -> str:
-    """Return a text on one line: a name with a line break must not become a header or a line of its own."""
+    """Return a text on one line: a line break in a name must not start a new line or a mail header."""
     return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
 
 
 class AcknowledgeLinks:
-    """Signed links, each to the acknowledgement of one occurrence. A link signs no one in, and opening it
-    changes nothing. ``base``: how people reach the dashboard; None: no link can be made."""
+    """Signed links, each to acknowledging one occurrence. A link signs no one in, and opening it changes
+    nothing. ``base``: the address of the dashboard; None: no link can be made."""
 
     def __init__(self, base: str | None, clock: Clock = unix_now) -> None:
         self.key = b""
-        """Signs the links; set before the first one is made."""
+        """The key that signs links; set before the first link is made."""
         self._base = base
         self._clock = clock
 
     def make(self, alarm_id: str) -> str:
-        """Return the link for an occurrence; empty where no link can be made."""
+        """Return the link for an occurrence; empty if no link can be made."""
         if self._base is None:
             return ""
         until = int(float(self._clock())) + VALID_S

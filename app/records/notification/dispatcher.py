@@ -1,4 +1,4 @@
-"""Delivers the outbox: one message after another to each address, to all addresses at once."""
+"""The delivery of the outbox: to all addresses at once, to each address one message after another."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from bus.messages import Message
 HEARTBEAT_CHECK_S = 20.0
 STORE_RETRY_S = 1.0
 TEST_S = 12.0
-"""How long a test waits for its result."""
+"""The time that a test waits for its result."""
 log = structlog.get_logger()
 
 
 class Dispatcher:
-    """The dispatcher, which delivers what the outbox has, sends the daily heartbeat, and knows which
-    addresses fail."""
+    """The dispatcher, which delivers the outbox, sends the daily heartbeat, and knows the failing
+    addresses."""
 
     def __init__(
         self,
@@ -59,20 +59,20 @@ class Dispatcher:
         self._failures = dict.fromkeys(plan.endpoints, 0)
         self._wakes = {key: asyncio.Event() for key in plan.endpoints}
         self.attempted = asyncio.Event()
-        """Set after the next attempt, and then replaced by a new one."""
+        """Set after the next attempt, and then replaced by a new event."""
 
     def wake(self) -> None:
-        """Look at the outbox at once, because something new is in it."""
+        """Look at the outbox at once, as it has new items."""
         for each in self._wakes.values():
             each.set()
 
     async def add(self, items: Iterable[OutboxItem]) -> None:
-        """Put items into the outbox that are not there yet, and deliver them."""
+        """Put items that are new into the outbox, and deliver them."""
         await self._outbox.add(items)
         self.wake()
 
     async def follow(self) -> None:
-        """Deliver what the outbox has, without end."""
+        """Deliver the outbox until canceled."""
         if not self.plan.endpoints:
             await asyncio.Event().wait()
         await self._outbox.interrupted(self.plan.endpoints, self._clock(), Message("notify_address_removed"))
@@ -84,8 +84,8 @@ class Dispatcher:
                 tasks.create_task(self._serve(endpoint))
 
     async def test(self, endpoint: NotificationEndpoint) -> NotificationDelivery | None:
-        """Send a test message like all others, and return its delivery after the first attempt; None where
-        that takes longer than a person waits."""
+        """Send a test message like any other and return its delivery after the first attempt; None if that
+        takes longer than a person waits."""
         key = f"test:{secrets.token_hex(8)}"
         await self.add([OutboxItem(key, endpoint.key, "test", self._clock())])
         with suppress(TimeoutError):
@@ -119,7 +119,7 @@ class Dispatcher:
                 log.error("notifications wait", error=str(error))
                 await asyncio.sleep(STORE_RETRY_S)
             except Exception:
-                # A fault of one address must not end the others, whose messages may be under way.
+                # A fault at one address must not end the other tasks, whose messages may be under way.
                 log.exception("notifications of one address wait")
                 await asyncio.sleep(STORE_RETRY_S)
 
@@ -151,7 +151,7 @@ class Dispatcher:
         attempted.set()
 
     async def _conclude(self, endpoint: NotificationEndpoint, ended: NotificationDelivery) -> None:
-        """Store the result of an attempt, however long that takes: a message that has left must not leave
+        """Store the result of an attempt, however long that takes: a message that has left must not be sent
         again because the store was busy."""
         while True:
             try:
@@ -163,8 +163,8 @@ class Dispatcher:
                 return
 
     async def _record(self, endpoint: NotificationEndpoint, ended: NotificationDelivery) -> None:
-        """Write the result of an attempt. The first failure and the end are events; the attempts between are
-        not, as they would hide other events."""
+        """Write the result of an attempt. The first failure and the end are events; the attempts between them
+        would hide other events."""
         if ended.state == "retrying" and ended.attempts > 1:
             await self._outbox.conclude(ended)
             return
@@ -195,7 +195,7 @@ class Dispatcher:
 
 
 def subject_of(delivery: NotificationDelivery) -> Message:
-    """Return what a message is about, for events and the page."""
+    """Return the subject of a message, for events and the page."""
     first = delivery.items[0] if delivery.items else None
     if first is None or len(delivery.items) > 1:
         return Message.of("notify_several", n=len(delivery.items))

@@ -1,4 +1,4 @@
-"""Notification of people about alarms: its page, and the page to which the link of a message leads."""
+"""The feature of notification: its page, and the page of the link in a message."""
 
 from __future__ import annotations
 
@@ -54,8 +54,7 @@ async def linked_alarm(
     until: Annotated[int, Query(ge=0, le=2**62)],
     signature: Annotated[str, Query(max_length=100)],
 ) -> str:
-    """Return the id of the alarm of a link. Raises Problem 403 for a link that this dashboard did not
-    make."""
+    """Return the alarm id of a link. Raise Problem 403 if this dashboard did not make the link."""
     notification.links.check(alarm, until, signature)
     return alarm
 
@@ -72,8 +71,8 @@ async def notification_page(
     endpoint: Annotated[str, Query(max_length=400)] = "",
     state: Annotated[str, Query(max_length=20)] = "",
 ) -> Response:
-    """Show whether the path works, who is on duty, maintenance, and what was sent: all, or the messages of an
-    ``endpoint`` and with a ``state``."""
+    """Show the state of notification, the people on duty, maintenance, and the sent messages: all, or those
+    of an ``endpoint`` or a ``state``."""
     return await _page(request, notification, before, endpoint, state)
 
 
@@ -85,7 +84,7 @@ async def _page(
     state: str = "",
     refused: Mapping[str, object] = MappingProxyType({}),
 ) -> Response:
-    """Show the page; ``refused``: what was typed into the form of maintenance, and its ``fault``."""
+    """Show the page of notification; ``refused``: the texts of the maintenance form, and its ``fault``."""
     found = await notification.outbox.deliveries(ON_A_PAGE + 1, before, endpoint=endpoint, state=state)
     addresses = {key: each.address for key, each in notification.plan.endpoints.items()}
     return render(
@@ -142,15 +141,15 @@ async def begin_maintenance(
 async def end_maintenance(
     person: Annotated[Person, END_MAINTENANCE.permitted], notification: Notifying, maintenance_id: int
 ) -> Response:
-    """Notify again."""
+    """End a maintenance: alarms are notified again."""
     await notification.maintenance.end(person, maintenance_id)
     return _to_page()
 
 
 @router.get("/notifications/acknowledge")
 async def acknowledge_page(request: Request, _: Viewer, alarms: Alarms, alarm: LinkedAlarm) -> Response:
-    """Show the alarm of a link, with the button. Opening the link changes nothing: programs that look for
-    malware open links, too."""
+    """Show the alarm of a link, with the button. Opening the link changes nothing, as programs that look for
+    malware open links too."""
     found = alarms.find(alarm).alarm
     definition = found.definition
     return render(
@@ -167,7 +166,7 @@ async def acknowledge_page(request: Request, _: Viewer, alarms: Alarms, alarm: L
 async def acknowledge_by_link(
     person: Annotated[Person, ACKNOWLEDGE.permitted], alarms: Alarms, alarm: LinkedAlarm
 ) -> Response:
-    """Acknowledge the occurrence that the link names."""
+    """Acknowledge the occurrence of a link."""
     await alarms.act(person, ACKNOWLEDGE, alarm)
     return RedirectResponse(f"/alarms/{alarms.find(alarm).alarm.id}", SEE_OTHER)
 

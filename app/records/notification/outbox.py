@@ -1,5 +1,5 @@
-"""The tables of notification: the outbox of notices with their deliveries, how far the journal of alarms was
-followed, maintenance, and the key of links."""
+"""The tables of notification: the outbox of notices with their deliveries, the position in the journal of
+alarms, maintenance, and the key of links."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from bus.instants import UnixTime
 from bus.messages import Message
 
 MAX_ITEMS = 200
-"""Items in one message."""
+"""The most items in one message."""
 MAX_AGE_S = 90 * 86_400.0
 MAX_ENTRIES = 1000
-"""Entries of the journal that are followed in one pass."""
+"""The most journal entries that one pass follows."""
 STANDING = "standing:"
-"""Begins the key of an item of an alarm that stood at a start."""
+"""The start of an item's key, for an alarm that stood at a start of the server."""
 NoticeKind = Literal["alarm", "clear", "heartbeat", "test", "report"]
 
 
 class AlarmNotice(msgspec.Struct, frozen=True):
-    """An alarm as it was when it was to be notified; times in Unix seconds."""
+    """An alarm as it was when its notification was due; times in Unix seconds."""
 
     id: str
     code: str
@@ -62,7 +62,7 @@ class AlarmNotice(msgspec.Struct, frozen=True):
 def notice_of(
     alarm: Alarm, place: str, at: UnixTime, state: AlarmState, occurrence: int, *, escalated: bool = False
 ) -> AlarmNotice:
-    """Make the notice of an alarm in a state."""
+    """Return the notice of an alarm in a state."""
     definition = alarm.definition
     name = definition.name
     return AlarmNotice(
@@ -83,8 +83,8 @@ def notice_of(
 
 
 class ReportNotice(msgspec.Struct, frozen=True):
-    """A report that is due. ``start`` and ``end`` are in Unix seconds, ``first`` and ``last`` the same by the
-    clock of the site; ``place`` names for people what the report is about; ``bus`` None: the site."""
+    """A report that is due. ``start`` and ``end`` are in Unix seconds, ``first`` and ``last`` are the same by
+    the clock of the site; ``place``: the subject for people; ``bus`` None: the site."""
 
     every: Literal["shift", "day", "week"]
     start: float
@@ -112,14 +112,14 @@ class Attachment:
 
 @dataclass(frozen=True, slots=True)
 class ReportAttachments:
-    """``make`` makes the page of a report; it raises LinesideError where it cannot."""
+    """The maker of report pages: ``make`` returns the page of a report, or raises LinesideError."""
 
     make: Callable[[ReportNotice], Awaitable[Attachment]]
 
 
 @dataclass(frozen=True, slots=True)
 class OutboxItem:
-    """One notice to one address. ``key`` with ``endpoint`` is in the outbox once, whatever happens."""
+    """One notice to one address. The outbox has each pair of ``key`` and ``endpoint`` only once."""
 
     key: str
     endpoint: str
@@ -132,13 +132,13 @@ class OutboxItem:
 
     @property
     def alarm_notice(self) -> AlarmNotice | None:
-        """The notice, where it is about an alarm."""
+        """The notice, if it is about an alarm."""
         return self.notice if isinstance(self.notice, AlarmNotice) else None
 
 
 @dataclass(frozen=True, slots=True)
 class NotificationDelivery:
-    """One message to one address. ``message_id`` stays the same with every attempt."""
+    """One message to one address. ``message_id`` stays the same in every attempt."""
 
     id: int
     endpoint: str
@@ -175,7 +175,7 @@ _EPISODE = ", ".join(field.name for field in fields(Episode))
 
 
 class NotificationOutbox:
-    """Access to the tables of notification."""
+    """The tables of notification."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -183,13 +183,13 @@ class NotificationOutbox:
     # --- items and deliveries -------------------------------------------------------------------------
 
     async def add(self, items: Iterable[OutboxItem]) -> None:
-        """Put items into the outbox that are not there yet."""
+        """Put items into the outbox, except those that are in it already."""
         several = list(items)
         await self._database.write(lambda connection: _put(connection, several))
 
     async def interrupted(self, endpoints: Iterable[str], now: UnixTime, gone: Message) -> None:
-        """Have, at the start, what was being sent tried again, and cancel what is for no configured
-        address."""
+        """Prepare the outbox at a start: try interrupted messages again, and cancel those for addresses that
+        are no longer configured."""
         known = ["", *endpoints]  # `IN ()` is not valid SQL
         marks = ", ".join("?" * len(known))
 
@@ -224,7 +224,7 @@ class NotificationOutbox:
         await self._database.write(write)
 
     async def load_of(self, endpoint: str, now: UnixTime, *, collects: bool) -> EndpointLoad:
-        """Return what there is to send to one address, and what was sent lately."""
+        """Return the messages that wait for one address, and those that were sent lately."""
 
         def read(connection: StoreConnection) -> EndpointLoad:
             waiting = connection.execute(
@@ -253,7 +253,7 @@ class NotificationOutbox:
         return await self._database.read(read)
 
     async def begin(self, endpoint: str, items: Sequence[int], now: UnixTime) -> NotificationDelivery:
-        """Make a message of items. It is on disk as being sent before its first byte leaves."""
+        """Make a message of items. The disk has it as ``sending`` before its first byte leaves."""
         at, message_id = float(now), secrets.token_hex(16)
 
         def write(connection: StoreConnection) -> NotificationDelivery:
@@ -272,7 +272,7 @@ class NotificationOutbox:
         return await self._database.write(write)
 
     async def resume(self, id: int) -> NotificationDelivery:
-        """Mark a delivery that is to be tried again as being sent, and return it."""
+        """Mark a delivery that is due again as ``sending``, and return it."""
 
         def write(connection: StoreConnection) -> NotificationDelivery:
             connection.execute(
@@ -284,14 +284,14 @@ class NotificationOutbox:
         return await self._database.write(write)
 
     async def conclude(self, delivery: NotificationDelivery) -> None:
-        """Write the result of an attempt."""
+        """Store the result of an attempt."""
         await self._database.write(conclusion(delivery))
 
     async def deliveries(
         self, limit: int, before: int | None, *, endpoint: str = "", state: str = ""
     ) -> list[NotificationDelivery]:
-        """Return the newest deliveries first; ``before``: those older than this one; of one endpoint or in
-        one state only, where it is given."""
+        """Return deliveries, newest first; ``before``: only those older than this one; ``endpoint``,
+        ``state``: only those of the endpoint or state, if given."""
         where = "id < ? AND ? IN ('', endpoint) AND ? IN ('', state)"
         return await self._deliveries(where, (before or 2**62, endpoint, state), limit)
 
@@ -320,8 +320,8 @@ class NotificationOutbox:
     # --- the journal of alarms, as far as it was followed ----------------------------------------------
 
     async def followed(self) -> tuple[int, dict[str, Episode]]:
-        """Return the last entry of the journal that was followed, and the open episodes by alarm.
-        Notification that was never on begins with the present."""
+        """Return the last journal entry that was followed, and the open episodes by alarm. If notification
+        was never on, it begins with the present."""
 
         def read(connection: StoreConnection) -> tuple[int, dict[str, Episode]]:
             # Earlier versions followed the journal once for each bus, and stored where each of them was.
@@ -365,8 +365,8 @@ class NotificationOutbox:
         cleared: Sequence[OutboxItem] = (),
         standing: Sequence[OutboxItem] = (),
     ) -> None:
-        """Store everything that one pass has led to, in one transaction. ``cleared`` go to each address that
-        was notified of their occurrence, ``standing`` only to addresses that were not."""
+        """Store all results of one pass in one transaction. ``cleared`` goes to each address that was
+        notified of the occurrence, ``standing`` only to addresses that were not."""
         rows = [(*astuple(episode), "") for episode in episodes.values()]
         marks = ", ".join("?" * (len(fields(Episode)) + 1))
 
@@ -389,7 +389,7 @@ class NotificationOutbox:
     # --- maintenance and links -------------------------------------------------------------------------
 
     async def quiet(self, now: UnixTime) -> list[MaintenanceShown]:
-        """Return every maintenance whose end an open alarm may still count from."""
+        """Return every maintenance from whose end an open alarm may still count."""
         query = "SELECT id, bus, starts, ends, who, reason FROM notification_quiet WHERE ends > ?"
         rows = await self._database.read(
             lambda connection: connection.execute(query, (float(now - MAX_AGE_S),)).fetchall()
@@ -397,7 +397,7 @@ class NotificationOutbox:
         return [MaintenanceShown(*row) for row in rows]
 
     async def link_key(self) -> bytes:
-        """Return the key that signs links; it is made at its first use."""
+        """Return the key that signs links; its first use creates it."""
         fresh = secrets.token_bytes(32)
 
         def write(connection: StoreConnection) -> bytes:
@@ -411,7 +411,7 @@ class NotificationOutbox:
 
 
 def conclusion(delivery: NotificationDelivery) -> Callable[[StoreConnection], None]:
-    """Return a function that writes the result of an attempt, as a part of another transaction."""
+    """Return a function that stores the result of an attempt as a part of another transaction."""
     result = "" if delivery.result is None else _encoded(delivery.result)
     times = float(delivery.tried_at), float(delivery.due)
 
@@ -438,7 +438,7 @@ def end_quiet(connection: StoreConnection, id: int, now: UnixTime) -> None:
 
 
 def _put(connection: StoreConnection, items: Iterable[OutboxItem]) -> None:
-    """Put items into the outbox; one that is there already stays as it is."""
+    """Put items into the outbox; an item that is in it already stays as it is."""
     connection.executemany(
         "INSERT INTO notification_item (key, endpoint, kind, created_at, notice, alarm, occurrence) "
         "VALUES (:key, :endpoint, :kind, :created_at, :notice, :alarm, :occurrence) ON CONFLICT DO NOTHING",
@@ -452,7 +452,7 @@ def _row(item: OutboxItem) -> dict[str, object]:
 
 
 def _notified(connection: StoreConnection, item: OutboxItem) -> list[str]:
-    """Return the addresses that were notified of the occurrence of an item, in that order."""
+    """Return the addresses that were notified of an item's occurrence, in that order."""
     rows = connection.execute(
         "SELECT endpoint FROM notification_item WHERE alarm = ? AND occurrence = ? AND kind = 'alarm' "
         "GROUP BY endpoint ORDER BY min(id)",
@@ -464,7 +464,7 @@ def _notified(connection: StoreConnection, item: OutboxItem) -> list[str]:
 def _select(
     connection: StoreConnection, where: str, values: Sequence[object], limit: int
 ) -> list[NotificationDelivery]:
-    """Return the newest deliveries first, with their items."""
+    """Return deliveries, newest first, with their items."""
     query = f"SELECT {_DELIVERY} FROM notification_delivery WHERE {where} ORDER BY id DESC LIMIT ?"
     found = []
     for row in connection.execute(query, (*values, limit)).fetchall():

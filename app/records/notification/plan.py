@@ -1,4 +1,4 @@
-"""The addresses and rules of notification, made of the configuration."""
+"""The addresses and rules of notification, from the configuration."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ ProgramSettings = WebhookSettings | AppriseSettings
 
 @dataclass(frozen=True, slots=True)
 class NotificationEndpoint:
-    """An address that is notified. ``address``: as people may see it, without a URL, which may be a
-    secret."""
+    """An address that is notified. ``address``: as people may see it, without a URL, which may be secret."""
 
     kind: EndpointKind
     address: str
@@ -37,13 +36,13 @@ class NotificationEndpoint:
 
     @property
     def key(self) -> str:
-        """Identifies the address in the outbox, also after a restart."""
+        """The key of the address in the outbox, the same after a restart."""
         return f"{self.kind}:{self.address}"
 
 
 class NotificationPlan:
-    """Endpoints by key, rosters of keys by group, and rules. ``readers``: addresses that get reports, which
-    alone notifies them of nothing."""
+    """Endpoints by key, rosters of keys by group, and rules. ``readers``: addresses that get reports; being a
+    reader alone causes no other notice."""
 
     def __init__(self, settings: NotifySettings, readers: Iterable[str] = ()) -> None:
         self.settings = settings
@@ -67,7 +66,7 @@ class NotificationPlan:
         return [self.endpoints[key].address for key in self.rosters[group].on_duty(local)]
 
     def present(self, local: datetime) -> tuple[str, ...]:
-        """Return the key of every address that some rule notifies at a local time."""
+        """Return the key of every address that any rule notifies at a local time."""
         return tuple(dict.fromkeys(key for rule in self.rules for key in rule.roster.on_duty(local)))
 
     def gaps(self, group: str) -> list[Message]:
@@ -86,7 +85,7 @@ class NotificationPlan:
 
 
 def _rule(settings: SmtpSettings | ProgramSettings, keys: tuple[str, ...]) -> NotificationRule:
-    """Make the rule of addresses that are notified at once and at any time."""
+    """Return the rule for addresses that are notified at once and at any time."""
     buses = () if isinstance(settings, SmtpSettings) else settings.buses
     return NotificationRule(settings.priorities, buses, 0.0, DutyRoster(keys))
 
@@ -109,8 +108,8 @@ def _mail(addresses: Iterable[str]) -> tuple[str, ...]:
 
 
 def _program(settings: ProgramSettings) -> NotificationEndpoint:
-    """Make the endpoint of a program. Its address is the host, or the name of the file, and a mark that
-    distinguishes two of one name."""
+    """Return the endpoint of a program. Its address is the host or the name of the file, with a mark that
+    distinguishes two of the same name."""
     url = settings.url if isinstance(settings, WebhookSettings) else None
     source = url or str(settings.url_file)
     name = urlsplit(url).hostname if url else settings.url_file and settings.url_file.name

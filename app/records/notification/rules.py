@@ -1,5 +1,5 @@
-"""The rules of notification: which alarms are notified, who is on duty, when maintenance recurs, and which
-message of an address is next. Pure: transitions, settings and times are passed in.
+"""The rules of notification: the alarms to notify, the people on duty, recurring maintenance, and the next
+message of an address. Pure: transitions, settings and times are passed in.
 
 An episode is the time in which an alarm waits for its acknowledgement; rules are followed within it.
 """
@@ -21,24 +21,24 @@ from bus.instants import UnixTime
 
 UNACKNOWLEDGED: frozenset[AlarmState] = frozenset(("unack_active", "rtn_unack", "latched_unack"))
 LATE_S = 3600.0
-"""An alarm that came and went longer ago is not notified: the server was off meanwhile."""
+"""The age above which an alarm that came and went is not notified: the server was off meanwhile."""
 MINUTES_OF_DAY = 24 * 60
 MINUTES_OF_WEEK = 7 * MINUTES_OF_DAY
 _DAY = timedelta(days=1)
 _MINUTE = timedelta(minutes=1)
 DeliveryState = Literal["sending", "retrying", "delivered", "failed", "canceled"]
-"""A delivery begins as ``sending``, on disk before the first byte leaves. Where the server ends in between,
-it is not known whether the message left: the delivery is ``retrying``, with the same id. ``canceled``: its
-address is not configured any more. What is delivered, failed or canceled never leaves again."""
+"""The state of a delivery. It begins as ``sending``, on disk before the first byte leaves. If the server ends
+in between, the message may have left: the delivery is ``retrying``, with the same id. ``canceled``: its
+address is no longer configured. A delivered, failed or canceled message is never sent again."""
 FIRST_RETRY_S = 5.0
 MAX_RETRY_S = 900.0
 GIVE_UP_S = 86_400.0
 FLOOD_WINDOW_S = 600.0
 FAILING_ATTEMPTS = 2
-"""An address is failing after so many failures without a success between."""
+"""The number of failures without a success between after which an address is failing."""
 
 
-# --- who is on duty -----------------------------------------------------------------------------------
+# --- the people on duty --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +60,13 @@ class DutyPeriod:
 
 @dataclass(frozen=True, slots=True)
 class DutyRoster:
-    """The addresses of a group. ``always``: those that are notified at any time; ``periods``: the others."""
+    """The addresses of a group. ``always``: addresses notified at any time; ``periods``: the others."""
 
     always: tuple[str, ...] = ()
     periods: tuple[DutyPeriod, ...] = ()
 
     def on_duty(self, local: datetime) -> tuple[str, ...]:
-        """Return the addresses at a local time; in a gap all of the group: better too many than none."""
+        """Return the addresses at a local time; in a gap all of the group: too many are better than none."""
         minute = minute_of_week(local)
         present = (*self.always, *(to for each in self.periods if each.covers(minute) for to in each.to))
         return tuple(dict.fromkeys(present)) or self.addresses()
@@ -76,8 +76,8 @@ class DutyRoster:
         return tuple(dict.fromkeys((*self.always, *(to for each in self.periods for to in each.to))))
 
     def gaps(self) -> list[tuple[int, int]]:
-        """Return the spans of a week in which no address is on duty: the first minute, and the first after
-        the gap. A gap over the end of the week is returned in two."""
+        """Return the spans of a week in which no address is on duty: the first minute, and the first minute
+        after the gap. A gap over the end of the week is returned in two parts."""
         found: list[tuple[int, int]] = []
         if self.always:
             return found
@@ -96,12 +96,12 @@ def minute_of_week(local: datetime) -> int:
     return local.weekday() * MINUTES_OF_DAY + local.hour * 60 + local.minute
 
 
-# --- when nothing is notified -------------------------------------------------------------------------
+# --- times without notification -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class QuietSpan:
-    """Maintenance: a time in which nothing of a bus, or of all (None), is notified."""
+    """A maintenance: a time in which nothing of a bus, or of all (None), is notified."""
 
     starts: UnixTime
     ends: UnixTime
@@ -116,10 +116,9 @@ def recurring_spans(
     maintenance: MaintenanceSettings, first: date, last: date, zone: ZoneInfo
 ) -> Iterator[QuietSpan]:
     """Yield the spans of a recurring maintenance that begin on a day from ``first`` to ``last``, in order.
-
-    Each lasts from the first moment at which the clock of the site shows its start, or goes on after it, to
-    the first at which the clock does so with its end. When the clocks change a span is shorter or longer; one
-    whose start and end are both skipped does not take place."""
+    Each lasts from the first moment at which the site's clock shows its start, or jumps over it, to the first
+    moment at which the clock does so with its end. When the clocks change a span is shorter or longer; it is
+    left out if its start and end are both skipped."""
     starts, ends = minute_of_day(maintenance.starts), minute_of_day(maintenance.ends)
     for number in range((min(last, maintenance.until) - first).days + 1):
         day = first + number * _DAY
@@ -131,8 +130,8 @@ def recurring_spans(
 
 
 def first_at(day: date, minute: int, zone: ZoneInfo) -> UnixTime:
-    """Return the first moment at which the clock shows a minute of a day, or goes on after it where the
-    clocks skip it."""
+    """Return the first moment at which the clock shows a minute of a day; if the clocks skip that minute, the
+    moment at which they go on."""
     local = datetime.combine(day, time()) + minute * _MINUTE
     while True:
         at = local.replace(tzinfo=zone).timestamp()
@@ -141,7 +140,7 @@ def first_at(day: date, minute: int, zone: ZoneInfo) -> UnixTime:
         local += _MINUTE
 
 
-# --- which alarms are notified ------------------------------------------------------------------------
+# --- the alarms to notify ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,8 +159,8 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class NotificationRule:
-    """A rule that notifies a roster of addresses. ``buses``: empty for all; ``after_s``: of alarms not
-    acknowledged by then."""
+    """A rule that notifies a roster of addresses. ``buses``: empty for all; ``after_s``: seconds after which
+    alarms that are not acknowledged are notified."""
 
     priorities: Sequence[AlarmPriority]
     buses: Sequence[str]
@@ -169,14 +168,14 @@ class NotificationRule:
     roster: DutyRoster
 
     def concerns(self, episode: Episode) -> bool:
-        """Return whether an alarm of this priority and place is notified."""
+        """Return whether the rule notifies alarms of this episode's priority and place."""
         is_there = not self.buses or (episode.bus is not None and episode.bus in self.buses)
         return is_there and episode.priority in self.priorities
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedNotice:
-    """One address is to be notified of one episode by the rules of one ``after_s``."""
+    """A notice that is due: to one address, about one episode, by the rules of one ``after_s``."""
 
     episode: Episode
     after_s: float
@@ -185,7 +184,7 @@ class PlannedNotice:
 
 @dataclass(slots=True)
 class Followed:
-    """What transitions and the time have led to. ``cleared``: transitions whose all-clear goes to the
+    """The result of following transitions and the time. ``cleared``: transitions whose all-clear goes to the
     addresses that were notified of the occurrence."""
 
     open: dict[str, Episode]
@@ -201,8 +200,8 @@ def follow(
     now: UnixTime,
     local: datetime,
 ) -> Followed:
-    """Follow transitions, in order, and then what is due by ``now``. Where the clock was set back since an
-    episode began, its time counts from ``now`` on."""
+    """Follow transitions, in order, and then the notices that are due by ``now``. If the clock was set back
+    since an episode began, its time counts from ``now`` on."""
     done = Followed({key: replace(each, at=min(each.at, now)) for key, each in episodes.items()})
 
     def follow_rules(alarm: str) -> None:
@@ -225,14 +224,14 @@ def follow(
 
 
 def opened_by(entry: JournalEntry) -> Episode | None:
-    """Return the episode that a transition begins; None where it begins none."""
+    """Return the episode that a transition begins; None if it begins none."""
     if entry.after not in UNACKNOWLEDGED or entry.trigger in ("clear", "silence"):
         return None
     return Episode(entry.alarm, entry.id, entry.occurrence, entry.bus, entry.priority, entry.at)
 
 
 def _is_ended_by(entry: JournalEntry) -> bool:
-    """Return whether a transition ends the episode of its alarm. A latched alarm waits for its
+    """Return whether a transition ends the episode of its alarm. A latched alarm still waits for its
     acknowledgement."""
     if entry.trigger == "clear":
         return entry.after != "latched_unack"
@@ -260,7 +259,7 @@ def due(
 
 
 def due_at(episode: Episode, after_s: float, quiet: Sequence[QuietSpan]) -> UnixTime:
-    """Return when rules of ``after_s`` are followed. The time counts from the end of a maintenance on."""
+    """Return the time at which rules of ``after_s`` apply; it counts from the end of a maintenance."""
     begins = _first_loud(episode, episode.at, quiet)
     return _first_loud(episode, begins + after_s, quiet)
 
@@ -272,11 +271,11 @@ def _first_loud(episode: Episode, at: UnixTime, quiet: Sequence[QuietSpan]) -> U
     return at
 
 
-# --- which message of an address is next --------------------------------------------------------------
+# --- the next message of an address ---------------------------------------------------------------------
 
 
 class NotDeliveredError(LinesideError):
-    """The reason why a message was not delivered, without any secret."""
+    """Raised if a message was not delivered; it has the reason, without any secret."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,42 +287,42 @@ class Retry:
     due: UnixTime
 
     def wait_s(self, now: UnixTime) -> float:
-        """Return the time to wait. A wait longer than any backoff comes from a clock that was set back: it is
-        over."""
+        """Return the seconds to wait. A wait that is longer than any backoff comes from a clock that was set
+        back: it is 0."""
         wait_s = self.due - now
         return wait_s if 0 < wait_s <= MAX_RETRY_S else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class EndpointLoad:
-    """What there is to send to one address. ``items``: those in no message yet, oldest first, each with its
-    time; ``sent``: when the last messages left; ``standing``: items of alarms that stood at a start, which go
-    in one message."""
+    """The load of one address. ``items``: those in no message yet, oldest first, each with its time;
+    ``sent``: the times of the last messages; ``standing``: items of alarms that stood at a start, which go in
+    one message."""
 
     items: Sequence[tuple[int, UnixTime]]
     retries: Sequence[Retry]
     sent: Sequence[UnixTime]
     collects: bool = True
-    """Whether several items may be one message: people read a digest, programs want each."""
+    """Whether several items may be one message: people read a digest, programs need each item."""
     standing: Sequence[int] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class DeliveryTurn:
-    """What follows for an address: ``items`` as one message, else the delivery ``retry``, else a wait."""
+    """The next step for an address: ``items`` as one message, else the delivery ``retry``, else a wait."""
 
     items: tuple[int, ...] = ()
     retry: int | None = None
     wait_s: float | None = None
-    """None: until there is something to send."""
+    """The seconds to wait; None: until there is a message to send."""
 
 
 def next_turn(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) -> DeliveryTurn:
-    """Return what follows for an address. New items go first, so that one refused message delays no other."""
+    """Return the next step for an address. New items go first: one refused message delays no other."""
     waits: list[float] = []
     if load.items:
         is_flood, (_, since) = _is_flooded(load, flood, now), load.items[0]
-        # Where the clock was set back since the wait began, it is over.
+        # If the clock was set back since the wait began, the wait is over.
         wait_s = digest_s - (now - since) if is_flood and now >= since else 0.0
         if wait_s <= 0:
             return DeliveryTurn(items=tuple(item for item, _ in (load.items if is_flood else load.items[:1])))
@@ -338,14 +337,14 @@ def next_turn(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) ->
 
 
 def _is_flooded(load: EndpointLoad, flood: int, now: UnixTime) -> bool:
-    """Return whether further items are collected: many messages in ten minutes, or an address that is
-    failing."""
+    """Return whether further items are collected: after many messages in ten minutes, or for an address that
+    fails."""
     recent = [at for at in load.sent if 0 <= now - at < FLOOD_WINDOW_S]
     return load.collects and (len(recent) >= flood or bool(load.retries))
 
 
 def retry_after_s(attempts: int) -> float:
-    """Return the time up to the next attempt after so many: 5, 10, 20 … seconds, at most 15 minutes."""
+    """Return the seconds up to the next attempt after ``attempts``: 5, 10, 20 …, at most 900."""
     return min(MAX_RETRY_S, FIRST_RETRY_S * 2.0 ** min(attempts - 1, 20))
 
 
@@ -355,7 +354,7 @@ def state_after_failure(created_at: UnixTime, now: UnixTime) -> DeliveryState:
 
 
 def heartbeat_due(before: datetime, now: datetime, minute_of_day: int) -> str:
-    """Return the day of the heartbeat, the daily proof that the path works, whose local time has come since
-    ``before``; empty where none has."""
+    """Return the day of the heartbeat (the daily proof that notification works) if its local time came after
+    ``before``; else an empty text."""
     at = now.replace(hour=minute_of_day // 60, minute=minute_of_day % 60, second=0, microsecond=0)
     return now.date().isoformat() if before < at <= now else ""

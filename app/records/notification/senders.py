@@ -1,5 +1,5 @@
-"""Delivers one message: as mail by SMTP with TLS, to a webhook by a signed POST, or by the package apprise
-(the extra ``lineside[apprise]``). Each attempt takes a bounded time, and no error shows a secret."""
+"""The delivery of one message: as mail by SMTP with TLS, to a webhook by a signed POST, or by the package
+apprise (the extra ``lineside[apprise]``). Each attempt takes a bounded time, and no error shows a secret."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from bus.instants import UnixTime
 from bus.messages import Message
 
 ATTEMPT_S = 30.0
-"""The time of one attempt: name, connection, TLS, sign-in and message."""
+"""The seconds of one attempt: name, connection, TLS, sign-in and message."""
 SOCKET_S = 10.0
 MAIL_CONNECTIONS = 4
 MAX_REASON_LENGTH = 300
@@ -50,8 +50,8 @@ log = structlog.get_logger()
 
 
 class Senders:
-    """Delivery to every kind of address. ``smtp`` None: no mail server is configured; ``reports``: makes the
-    pages of reports."""
+    """The delivery to every kind of address. ``smtp`` None: no mail server is configured; ``reports``: makes
+    the pages of reports."""
 
     def __init__(
         self, smtp: SmtpSettings | None, composer: Composer, reports: ReportAttachments | None = None
@@ -64,7 +64,7 @@ class Senders:
     async def send(
         self, endpoint: NotificationEndpoint, delivery: NotificationDelivery, now: UnixTime
     ) -> None:
-        """Deliver a message. Raises NotDeliveredError; whether the message has arrived is then not known."""
+        """Deliver a message. Raise NotDeliveredError; the message may have arrived nevertheless."""
         async with self._mail if endpoint.settings is None else nullcontext():
             try:
                 async with asyncio.timeout(ATTEMPT_S):
@@ -76,7 +76,7 @@ class Senders:
             except LinesideError as error:
                 raise NotDeliveredError(error.message) from None
             except Exception as error:
-                # The text of the error may hold a URL or a password.
+                # The text of the error may contain a URL or a password.
                 name = type(error).__name__
                 log.error("a notification failed", error=name)
                 raise NotDeliveredError(Message.of("notify_failed_unexpectedly", error=name)) from None
@@ -110,7 +110,7 @@ class Senders:
 
 async def send_mail(settings: SmtpSettings, to: str, letter: Letter) -> None:
     """Deliver a letter to the mail server. A server without the configured encryption gets neither letter nor
-    password. Raises LinesideError."""
+    password. Raise LinesideError."""
     sender = settings.sender
     message = _mail_message(sender, to, letter)
     await _with_mail_server(
@@ -119,7 +119,7 @@ async def send_mail(settings: SmtpSettings, to: str, letter: Letter) -> None:
 
 
 async def reach_mail_server(settings: SmtpSettings) -> None:
-    """Connect, encrypt and sign in; nothing is sent. Raises LinesideError."""
+    """Connect, encrypt and sign in, but send nothing. Raise LinesideError."""
     await _with_mail_server(settings, lambda _: None)
 
 
@@ -138,7 +138,7 @@ async def _with_mail_server(settings: SmtpSettings, work: Callable[[smtplib.SMTP
             finally:
                 server.close()
         except (smtplib.SMTPException, OSError) as error:
-            # smtplib reports a read that timed out as a connection that was closed.
+            # smtplib reports a read that timed out as a closed connection.
             cause = error.__context__ if isinstance(error.__context__, TimeoutError) else error
             raise NotDeliveredError(_reason(settings, cause)) from None
 
@@ -186,9 +186,9 @@ def _password(path: Path | None) -> str:
 
 
 def _mail_message(sender: str, to: str, letter: Letter) -> EmailMessage:
-    """Make the mail of a letter. Raises ValueError for a header with a line break, which the policy refuses:
-    the texts of a letter are made of one line."""
-    # Its parser of headers has half a MiB, and few servers send mail.
+    """Return the mail of a letter. Raise ValueError for a header with a line break, which the policy refuses:
+    the texts of a letter have one line."""
+    # The parser of headers takes half a MiB, and few servers send mail.
     from email.policy import SMTP
 
     message = EmailMessage(policy=SMTP)
@@ -239,7 +239,7 @@ def _reason(settings: SmtpSettings, error: Exception) -> Message:
 
 
 def _shown(code: int, text: bytes | str) -> str:
-    """Return the reply of a server, which may hold any bytes, on one line."""
+    """Return the reply of a server, which may contain any bytes, on one line."""
     words = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
     line = " ".join("".join(sign if sign.isprintable() else " " for sign in words).split())
     return f"{code} {line}"[:MAX_REASON_LENGTH]
@@ -249,7 +249,7 @@ def _shown(code: int, text: bytes | str) -> str:
 
 
 async def post_hook(settings: WebhookSettings, body: Mapping[str, Any], now: UnixTime) -> None:
-    """Deliver one notice; ``body["id"]`` lets the receiver drop a duplicate. Raises LinesideError."""
+    """Deliver one notice; ``body["id"]`` lets the receiver drop a duplicate. Raise LinesideError."""
     content = json.dumps(body, ensure_ascii=False, separators=(",", ":")).encode()
     headers = {
         "Content-Type": "application/json",
@@ -262,7 +262,7 @@ async def post_hook(settings: WebhookSettings, body: Mapping[str, Any], now: Uni
 
 
 async def reach_hook(settings: WebhookSettings) -> None:
-    """Have the server of a webhook respond; nothing is notified. Raises LinesideError."""
+    """Get a response of a webhook's server; nothing is notified. Raise LinesideError."""
     read_secret(settings.secret_file)
     status = await _exchange(settings, "HEAD", {}, b"")
     if 300 <= status < 400:
@@ -277,13 +277,13 @@ def _signature(secret: bytes, body: bytes, at: int) -> str:
 async def _exchange(
     settings: WebhookSettings, method: str, headers: Mapping[str, str], content: bytes
 ) -> int:
-    """Return the status of the response, whose body is not read: it cannot be too large."""
+    """Return the status of the response; its body, which may be too large, is not read."""
     import httpx  # a tenth of a second of the start
 
     url = _url_of(settings)
     place = _place(url)
     try:
-        # No proxy and no password of the environment: they lead out of the plant.
+        # No proxy and no password from the environment: they lead out of the plant.
         context = ssl.create_default_context(cafile=settings.ca_file)
         client = httpx.AsyncClient(verify=context, trust_env=False, timeout=SOCKET_S)
         sent = {"User-Agent": "lineside", **headers}
@@ -311,7 +311,7 @@ def _url_of(settings: WebhookSettings) -> str:
 
 
 def _place(url: str) -> dict[str, Any]:
-    """Return host and port of a URL: the rest may be a secret."""
+    """Return host and port of a URL; the rest may be a secret."""
     parts = urlsplit(url)
     return {"host": parts.hostname or "", "port": parts.port or (443 if parts.scheme == "https" else 80)}
 
@@ -322,18 +322,18 @@ def _refusal(settings: WebhookSettings, status: int) -> Message:
 
 
 async def notify_by_apprise(settings: AppriseSettings, letter: Letter) -> None:
-    """Deliver a letter. Raises LinesideError without the reason, which apprise does not give."""
+    """Deliver a letter. Raise LinesideError without the reason, which apprise does not give."""
 
     def send() -> bool:
         return bool(apprise_service(settings).notify(title=letter.subject, body=letter.body))
 
-    # The thread also imports the package, which takes as long as a tenth of a second.
+    # The thread also imports the package, which takes up to a tenth of a second.
     if not await in_thread(send):
         raise NotDeliveredError(Message.of("notify_apprise_refused", name=settings.url_file.name))
 
 
 def apprise_service(settings: AppriseSettings) -> Any:
-    """Open the service of the URL. Raises LinesideError."""
+    """Return the service of the URL. Raise LinesideError."""
     try:
         package = import_module("apprise")
     except ImportError:

@@ -1,6 +1,5 @@
-"""Notification of a site: its addresses and groups as they are now, a test message, maintenance, during which
-nothing is notified, and the notifier, which follows the journal of alarms and puts what is to be notified
-into the outbox."""
+"""The service of notification: present addresses and groups, test messages, maintenance (in which nothing is
+notified), and the notifier, which follows the journal of alarms and fills the outbox."""
 
 from __future__ import annotations
 
@@ -55,16 +54,16 @@ from bus.messages import Message
 BEGIN_MAINTENANCE = Act("begin_maintenance", Role.ENGINEER, "notification", "event_maintenance_begun")
 END_MAINTENANCE = Act("end_maintenance", Role.ENGINEER, "notification", "event_maintenance_ended")
 SEND_TEST = Act("send_test_notification", Role.ENGINEER, "notification", "event_notification_delivered")
-"""Recorded as every message is: by the server, once it is delivered or not."""
+"""A test is recorded as every message is: by the server, once it is delivered or has failed."""
 ACTS = (BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST)
 
 NotificationEndpointKind = TypeAliasType("NotificationEndpointKind", EndpointKind)
 DayOfWeekShown = TypeAliasType("DayOfWeekShown", DayOfWeek)
 MINUTE_S = 60
 MAX_MINUTES = 1440
-"""A day: whoever still needs a maintenance begins it again."""
+"""The longest maintenance, a day: a person who needs more begins another."""
 _AHEAD = timedelta(days=14)
-"""Two of each day of the week: one of them may be skipped when the clocks change."""
+"""This has two of each day of the week: one may be skipped when the clocks change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +83,7 @@ class NotificationEndpointShown:
 
 @dataclass(frozen=True, slots=True)
 class NotificationGroup:
-    """A group, and who of it is on duty now."""
+    """A group, and its addresses that are on duty now."""
 
     name: str
     on_duty: Annotated[list[str], Field(description="Addresses.")]
@@ -107,8 +106,8 @@ class RecurringMaintenanceShown:
 
 
 class Maintenance:
-    """Maintenance that people begin, and the recurring one of the configuration. ``zone``: of the site, by
-    whose clock the latter recurs; ``buses``: the names of all."""
+    """The maintenance that people begin, and the recurring one of the configuration. ``zone``: of the site,
+    whose clock determines the latter; ``buses``: the names of all buses."""
 
     def __init__(
         self,
@@ -127,7 +126,7 @@ class Maintenance:
         self._clock = clock
         self._spans_of: tuple[date, list[QuietSpan]] | None = None
         self._rows: list[MaintenanceShown] = []
-        """Those of the last months: an alarm may count its times from the end of one."""
+        """The maintenance of the last months: an alarm's time may count from its end."""
 
     async def load(self) -> None:
         """Read the stored maintenance."""
@@ -138,11 +137,11 @@ class Maintenance:
         return [*(row.span for row in self._rows), *self._recurring_spans()]
 
     def recurring(self) -> list[RecurringMaintenanceShown]:
-        """Return each recurring maintenance with the span that is under way or comes next."""
+        """Return each recurring maintenance with its present or next span."""
         return [self._shown(each, self._clock()) for each in self._recurring]
 
     def present(self) -> list[MaintenanceShown]:
-        """Return the maintenance under way that people began."""
+        """Return the present maintenance that people began."""
         now = self._clock()
         return [row for row in self._rows if row.since <= now < row.until]
 
@@ -163,7 +162,7 @@ class Maintenance:
         )
 
     def _recurring_spans(self) -> list[QuietSpan]:
-        """Return the spans of the last months. They are found once a day: they are looked at each second."""
+        """Return the spans of the last months, computed once a day, as they are needed each second."""
         day = self._day(self._clock())
         if self._spans_of is None or self._spans_of[0] != day:
             first = day - timedelta(seconds=MAX_AGE_S)
@@ -175,7 +174,7 @@ class Maintenance:
         return datetime.fromtimestamp(float(at), self._zone).date()
 
     async def begin(self, person: Person, bus: str | None, minutes: int, reason: str) -> None:
-        """Notify nothing from now on, of a bus or (None) of all. Raises Problem 403, 404."""
+        """Notify nothing of a bus, or of all (None), from now on. Raise Problem 403 or 404."""
         BEGIN_MAINTENANCE.check(person)
         if bus is not None and bus not in self.buses:
             raise unknown_bus(bus, self.buses)
@@ -190,7 +189,7 @@ class Maintenance:
         await self.load()
 
     async def end(self, person: Person, id: int) -> None:
-        """End a maintenance before its time. Raises Problem 403, 404 for one that is not under way."""
+        """End a maintenance before its time. Raise Problem 403, or 404 if it is not under way."""
         END_MAINTENANCE.check(person)
         row = next((row for row in self.present() if row.id == id), None)
         if row is None:
@@ -205,7 +204,7 @@ class Maintenance:
 
 
 class Notification:
-    """What pages and the API show of notification. ``local_time``: of the site, by which rosters go."""
+    """The data of notification for pages and the API. ``local_time``: of the site, for duty rosters."""
 
     def __init__(
         self,
@@ -228,7 +227,7 @@ class Notification:
         await self.maintenance.load()
 
     async def endpoints(self) -> list[NotificationEndpointShown]:
-        """Return each address of the configuration with the result of its last attempt."""
+        """Return each configured address with the result of its last attempt."""
         waiting, found = await self.outbox.waiting(), []
         for key, endpoint in self.plan.endpoints.items():
             last = await self.outbox.last_to(key)
@@ -247,12 +246,12 @@ class Notification:
         return found
 
     def groups(self) -> list[NotificationGroup]:
-        """Return each group of the configuration, and who of it is on duty now."""
+        """Return each configured group, and its addresses that are on duty now."""
         local, plan = self._local_time(), self.plan
         return [NotificationGroup(name, plan.on_duty(name, local), plan.gaps(name)) for name in plan.rosters]
 
     async def test(self, person: Person, key: str) -> NotificationDelivery | None:
-        """Send a test message to the address of a key, as `Dispatcher.test`. Raises Problem 403 or 404."""
+        """Send a test message to the address of a key, as `Dispatcher.test`. Raise Problem 403 or 404."""
         SEND_TEST.check(person)
         endpoint = self.plan.endpoints.get(key)
         if endpoint is None:
@@ -262,13 +261,13 @@ class Notification:
 
 TICK_S = 1.0
 STANDING_AFTER_PASSES = 10
-"""By then the condition of each alarm was observed again, where its unit responds."""
+"""By then each alarm's condition has been observed again, if its unit responds."""
 
 
 class AlarmNotifier:
-    """The notifier, which follows each transition of the journal once: what it led to, and that it was
-    followed, is stored in one transaction. Call :meth:`load` before the first alarm rises: notification that
-    was never on begins with the present."""
+    """The notifier, which follows each transition of the journal once: one transaction stores that, with the
+    results. Call :meth:`load` before the first alarm rises: if notification was never on, it begins with the
+    present."""
 
     def __init__(
         self,
@@ -290,12 +289,12 @@ class AlarmNotifier:
         self._open: dict[str, Episode] = {}
 
     async def load(self) -> None:
-        """Read how far the last run has followed the journal."""
+        """Read the position in the journal at the end of the last run."""
         self._cursor, episodes = await self._outbox.followed()
         self._open = {key: each for key, each in episodes.items() if self._alarms.known(key) is not None}
 
     async def follow(self) -> None:
-        """Follow the journal without end."""
+        """Follow the journal until canceled."""
         if not self._dispatcher.plan.endpoints:
             await asyncio.Event().wait()
         for passes in count():
@@ -305,7 +304,7 @@ class AlarmNotifier:
             await asyncio.sleep(TICK_S)
 
     async def advance(self) -> None:
-        """Follow what is new in the journal, and what is due by now."""
+        """Follow new journal entries, and make the notices that are due now."""
         entries = await self._outbox.journal_after(self._cursor)
         cursor = entries[-1].id if entries else self._cursor
         known = [entry for entry in entries if self._alarms.known(entry.alarm) is not None]
@@ -316,8 +315,8 @@ class AlarmNotifier:
         self._cursor, self._open = cursor, done.open
 
     async def notify_standing(self) -> None:
-        """Notify each address that a rule notifies by now of the alarms that wait for their acknowledgement,
-        but for those that it was notified of. An address may be new in the configuration."""
+        """Notify addresses of the alarms that wait for their acknowledgement, as far as a rule notifies the
+        address by now and it was not notified before. An address may be new in the configuration."""
         waiting = {
             alarm.definition.key: alarm
             for alarm in self._alarms.every()
@@ -351,8 +350,8 @@ class AlarmNotifier:
             self._dispatcher.wake()
 
     def _item(self, planned: PlannedNotice, entry: JournalEntry | None, now: UnixTime) -> OutboxItem:
-        """Make the item of a notice; ``entry``: the transition that has just led to it, else the alarm is
-        notified as it is by now."""
+        """Return the item of a notice; ``entry``: the transition that has just led to it; if None, the item
+        has the alarm as it is now."""
         episode, alarm = planned.episode, self._alarm(planned.episode.alarm)
         notice = notice_of(
             alarm,

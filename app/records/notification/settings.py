@@ -1,4 +1,4 @@
-"""The settings of notification: who is notified of which alarms, and how (``[notify]`` of lineside.toml)."""
+"""The settings of notification: people, alarms and ways (``[notify]`` of lineside.toml)."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class SmtpSettings(StrictModel):
     user: Annotated[OneLine, Field(max_length=200)] = ""
     password_file: Path | None = None
     ca_file: Path | None = None
-    """The authorities to trust instead of those of the machine."""
+    """The certificate authorities to trust instead of those of the machine."""
     to: Addresses = ()
     priorities: Priorities = DEFAULT_PRIORITIES
 
@@ -88,7 +88,7 @@ class SmtpSettings(StrictModel):
 
 
 class WebhookSettings(StrictModel):
-    """A program that is notified of ``priorities``. Its URL may be a secret: then it is in a file."""
+    """A program that is notified of ``priorities``. A file has its URL if that is a secret."""
 
     url: WebUrl | None = None
     url_file: Path | None = None
@@ -96,12 +96,12 @@ class WebhookSettings(StrictModel):
     ca_file: Path | None = None
     priorities: Priorities = DEFAULT_PRIORITIES
     buses: BusNames = ()
-    """Empty: all, and the server's own alarms."""
+    """Empty: all buses, and the server's own alarms."""
 
     @field_serializer("url")
     def _without_its_path(self, url: str | None) -> str | None:
-        """Return the host and a digest for a support bundle: the URL may be a secret, and a change of it has
-        to show."""
+        """Return the host and a digest for a support bundle: the URL may be a secret, but a change of it must
+        show."""
         return url and f"{urlsplit(url).hostname}#{blake2b(url.encode(), digest_size=8).hexdigest()}"
 
     @model_validator(mode="after")
@@ -112,7 +112,7 @@ class WebhookSettings(StrictModel):
 
 
 class AppriseSettings(StrictModel):
-    """A service that the package apprise reaches. Its URL holds its password."""
+    """A service that the package apprise reaches. The file has its URL, which contains its password."""
 
     url_file: Path
     priorities: Priorities = DEFAULT_PRIORITIES
@@ -120,7 +120,7 @@ class AppriseSettings(StrictModel):
 
 
 class DutySettings(StrictModel):
-    """People who are on duty on these days; ``ends`` not after ``starts``: on the next day."""
+    """People on duty on these days. If ``ends`` is not after ``starts``, it is on the next day."""
 
     days: Annotated[tuple[DayOfWeek, ...], Field(min_length=1)] = DAYS
     starts: ClockTime
@@ -129,8 +129,7 @@ class DutySettings(StrictModel):
 
 
 class GroupSettings(StrictModel):
-    """People who are notified together. ``to``: those notified at any time; ``duty``: the others, by
-    roster."""
+    """People who are notified together. ``to``: at any time; ``duty``: by roster."""
 
     name: GroupName
     to: Addresses = ()
@@ -144,7 +143,7 @@ class GroupSettings(StrictModel):
 
 
 class RuleSettings(StrictModel):
-    """The alarms of which a group is notified; ``after_s``: only of those not acknowledged by then."""
+    """The alarms of which a group is notified; ``after_s``: only those not acknowledged by then."""
 
     group: GroupName
     priorities: Priorities = DEFAULT_PRIORITIES
@@ -153,29 +152,29 @@ class RuleSettings(StrictModel):
 
 
 class MaintenanceSettings(StrictModel):
-    """A recurring time in which nothing is notified; ``ends`` not after ``starts``: on the next day."""
+    """A recurring time without notification. If ``ends`` is not after ``starts``, it is on the next day."""
 
     days: Annotated[tuple[DayOfWeek, ...], Field(min_length=1)] = DAYS
     starts: ClockTime
     ends: ClockTime
     until: CalendarDay
-    """The last day on which the maintenance begins: silence has to end some day."""
+    """The last day on which the maintenance begins: silence must end some day."""
     reason: Annotated[OneLine, Field(min_length=1, max_length=200)]
     buses: BusNames = ()
-    """Empty: all, and the server's own alarms."""
+    """Empty: all buses, and the server's own alarms."""
 
 
 class NotifySettings(StrictModel):
     """The settings of notification. Without any address nothing is sent."""
 
     dashboard_url: WebUrl | None = None
-    """How people reach the dashboard; without it a message has no link."""
+    """The address of the dashboard for people; without it a message has no link."""
     heartbeat_at: ClockTime = "07:00"
-    """The local time at which each address gets the daily proof that the path works."""
+    """The local time at which each address gets the daily proof that notification works."""
     flood: Annotated[int, Field(strict=True, ge=1, le=1000)] = 10
-    """After so many messages to one address in ten minutes, further alarms are collected."""
+    """The messages to one address in ten minutes after which further alarms are collected."""
     digest_s: Annotated[float, Field(strict=True, ge=5, le=3600)] = 60.0
-    """How often what was collected is sent."""
+    """The seconds between messages of collected alarms."""
     smtp: SmtpSettings | None = None
     webhook: Annotated[tuple[WebhookSettings, ...], Field(max_length=20)] = ()
     apprise: Annotated[tuple[AppriseSettings, ...], Field(max_length=20)] = ()
@@ -191,13 +190,13 @@ class NotifySettings(StrictModel):
 
 
 def _refusal(message: Message, *at: int | str) -> PydanticCustomError:
-    """Make the error; ``at``: the place of the fault within the table that is judged."""
+    """Return the error; ``at``: the place of the fault within the checked table."""
     return PydanticCustomError("notify", "not a notification", {"message": message, "at": at})
 
 
 def refuse_unknown_names(notify: NotifySettings, buses: Iterable[BusSettings]) -> None:
-    """Raise PydanticCustomError for a group or a bus that is not configured, a group that is configured
-    twice, and mail without a mail server."""
+    """Raise PydanticCustomError for a group or bus that is not configured, a group that is configured twice,
+    and mail without a mail server."""
     for message, *at in _unknown_names(notify, {bus.name for bus in buses}):
         raise _refusal(message, "notify", *at)
 

@@ -1,5 +1,5 @@
-"""Reports of a line or a unit over any span: on a page, over HTTP as JSON, CSV and one HTML file, and by
-mail."""
+"""The feature of reports of a line or unit over any span: on a page, over HTTP as JSON, CSV and one HTML
+file, and by mail."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ DocumentsOf = Annotated[ReportDocuments, service(ReportDocuments)]
 
 
 class WantedReport(NamedTuple):
-    """The span and the places of a requested report."""
+    """The span and the scope of a requested report."""
 
     span: Shift
     scope: Scope
@@ -75,22 +75,22 @@ ReportOfQuery = Annotated[WantedReport, Depends(_wanted_report)]
 
 @api_router.get("", response_model=SpanReport, dependencies=[SEARCH])
 async def get_report(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery) -> Response:
-    """Report what the units did in a span of at most 92 days: run time, time at speed, stops with duration
-    and cause, speed, length, draw; alarms, commands, drift and notes. Time without readings is apart."""
+    """Report the activity of units in a span of at most 92 days: run time, time at speed, stops with duration
+    and cause, speed, length, draw; also alarms, commands, drift, notes, and time without readings."""
     report = await reports.report(wanted.span, wanted.scope)
     return await json_response(lambda: report)
 
 
 @api_router.get("/units.csv", response_class=Response, responses=CSV, dependencies=[DOWNLOAD])
 async def get_report_units(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery, form: WantedCsv) -> Response:
-    """Return the units of a report, one in a row."""
+    """Return the units of a report as CSV, one in each row."""
     report = await reports.report(wanted.span, wanted.scope)
     return _csv(units_text(report, form), f"{file_name(report, wanted.scope)}-units.csv")
 
 
 @api_router.get("/stops.csv", response_class=Response, responses=CSV, dependencies=[DOWNLOAD])
 async def get_report_stops(_: Viewer, reports: ReportsOf, wanted: ReportOfQuery, form: WantedCsv) -> Response:
-    """Return the stops of a report, one in a row: unit, began, ended, seconds, reason."""
+    """Return the stops of a report as CSV, one in each row: unit, began, ended, seconds, reason."""
     report = await reports.report(wanted.span, wanted.scope)
     return _csv(stops_text(report, form), f"{file_name(report, wanted.scope)}-stops.csv")
 
@@ -137,7 +137,7 @@ async def report_page(
     since: Annotated[OneLine, Query(max_length=40)] = "",
     until: Annotated[OneLine, Query(max_length=40)] = "",
 ) -> Response:
-    """Show the report that the address names, without a span that of the present shift; or why it fails."""
+    """Show the report that the address names (without a span: of the present shift), or why it fails."""
     report, fault, scope = None, None, EVERYTHING
     formats = formats_of(request)
     name = next((name for name in SPANS if name == span), None)

@@ -1,5 +1,5 @@
-"""The report of a span, read from the stores: what each unit did, the alarms that came, and the contents of a
-hand-over sheet."""
+"""The report of a span, read from the stores: the activity of each unit, the alarms, and the contents of a
+handover sheet."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ _AT_END = """(
         ORDER BY n.id LIMIT 1
     ), 9223372036854775807) ORDER BY l.id DESC LIMIT 1
 )"""
-"""Selects the state of an alarm at the end of a span."""
+"""SQL that selects the state of an alarm at the end of a span."""
 _COMMANDS = "FROM events WHERE about IS NULL AND kind = 'command' AND time >= ? AND time < ?"
 
 
 class ReportedStop(TypedDict):
-    """A time in which a unit stood still, within the span."""
+    """A time within the span in which a unit stood still."""
 
     start: Instant
     end: Instant
@@ -55,7 +55,7 @@ class ReportedStop(TypedDict):
 
 
 class ReportedDraw(TypedDict):
-    """The draw in percent, over the time in which the unit and the one before it were both at speed."""
+    """The draw in percent while both the unit and the unit before it were at speed."""
 
     average: Annotated[float, Field(description="Of all web that passed.")]
     least: Annotated[float, Field(description="Of the minute with the least.")]
@@ -63,7 +63,7 @@ class ReportedDraw(TypedDict):
 
 
 class ReportedUnit(TypedDict):
-    """What a unit did. Without ``running_s`` its speeds are ratios to a master, which do not show it."""
+    """The activity of a unit. ``running_s`` is missing for speeds that are ratios to a master."""
 
     bus: str
     unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
@@ -108,7 +108,7 @@ class ReportedAlarm(AlarmTransition):
 
 
 class SpanReport(SignedShiftSheet):
-    """What the units did in a span up to ``until``, and what people have to know about it."""
+    """The activity of the units in a span up to ``until``, and the events that people must know."""
 
     signed: Annotated[ShiftSignatures | None, Field(description="Where the span is a shift that was signed.")]
     units: Annotated[list[ReportedUnit], Field(description="Empty where there is no history.")]
@@ -116,7 +116,7 @@ class SpanReport(SignedShiftSheet):
 
 
 class CountsByUnit(NamedTuple):
-    """The number of alarms that came and of commands that were sent, by bus and address."""
+    """The numbers of alarms and of commands, by bus and address."""
 
     alarms: dict[tuple[str, int], int]
     commands: dict[tuple[str, int], int]
@@ -131,8 +131,8 @@ def span_report(
     found: FoundUnits,
     most_stops: int = maxsize,
 ) -> dict[str, Any]:
-    """Read a report from the stores, in a transaction. ``found``: what the units did, in floor order;
-    ``most_stops``: how many of each unit it has, the newest."""
+    """Read a report from the stores, in a transaction. ``found``: the report of each unit, in floor order;
+    ``most_stops``: the most stops of each unit, the newest."""
     until, signed = min(span.end, now), signed_sheet(connection, span.start)
     where, values = scope.conditions()
     came = connection.execute(

@@ -1,4 +1,4 @@
-"""Which span a report is of, and when one that is sent on a schedule is due. Pure.
+"""Rules of reports: the span of each kind, and the time at which a scheduled report is due. Pure.
 
 A day is from midnight to midnight by the clock of the site, a week from Monday to Monday.
 """
@@ -18,12 +18,12 @@ SpanName = Literal["shift", "last_shift", "today", "yesterday", "week"]
 ReportEvery = Literal["shift", "day", "week"]
 MAX_DAYS = 92
 MAX_UNIT_DAYS = 1800
-"""Units times days: all 255 units of a bus for a week."""
+"""The most units times days: all 255 units of a bus for a week."""
 DAY_S = 86_400.0
 SETTLE_S = 300.0
-"""The report of a shift is sent so long after its end, when late readings are stored."""
+"""The seconds after a shift's end at which its report is sent: late readings are stored by then."""
 LATE_S = 43_200.0
-"""A report that was due longer ago is not sent, as the server was off or the schedule is new."""
+"""The delay after which a due report is not sent: the server was off or the schedule is new."""
 _MIDNIGHT = (0,)
 
 
@@ -39,7 +39,7 @@ def named_span(name: SpanName, now: UnixTime, starts: Sequence[int], zone: ZoneI
 
 
 def span_fault(span: Shift, now: UnixTime, units: int) -> Message | None:
-    """Return the reason why a span of so many units has no report, if there is one."""
+    """Return the reason why a span with so many units gets no report; None if it gets one."""
     days = (min(span.end, now) - span.start) / DAY_S
     if not UnixTime(0.0) < span.start < min(span.end, now):
         return Message("report_span_malformed")
@@ -56,7 +56,7 @@ def last_due(
 ) -> Shift | None:
     """Return the last complete span whose report is due; None if it was due too long ago.
 
-    ``minute``: of the day, at which the report of a day is sent, and on Mondays that of a week.
+    ``minute``: the minute of the day at which a daily report is sent, and on Mondays a weekly report.
     """
     if every == "shift":
         span = shift_at(shift_at(now - SETTLE_S, starts, zone).start - 1.0, starts, zone)
@@ -80,7 +80,7 @@ def _days_before(at: UnixTime, days: int, zone: ZoneInfo) -> UnixTime:
 
 
 def _at_minute(at: UnixTime, days: int, minute: int, zone: ZoneInfo) -> UnixTime:
-    """Return the moment at which the clock shows a minute of the day, so many days before ``at``."""
+    """Return the moment at which the clock shows a minute of the day, ``days`` before ``at``."""
     local = datetime.fromtimestamp(float(at), zone).replace(tzinfo=None) - timedelta(days=days)
     local = local.replace(hour=minute // 60, minute=minute % 60, second=0, microsecond=0)
     return UnixTime(local.replace(tzinfo=zone).timestamp())

@@ -1,5 +1,5 @@
-"""Reports of any span: made, rendered as one HTML file that needs no server and as CSV, and put into the
-outbox of notification when they are due to be mailed. An unknown figure is empty."""
+"""The service of reports of any span: makes them, renders them as one HTML file that needs no server and as
+CSV, and puts those that are due for mail into the outbox. An unknown figure is empty."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ log = structlog.get_logger()
 
 
 class ReportSchedule:
-    """The schedule that puts reports that are due into the outbox. That takes each once for an address: a
-    server that was off sends the report that it missed, and none twice."""
+    """The schedule that puts due reports into the outbox. The outbox takes each once for an address: a server
+    that was off sends the report that it missed, and none twice."""
 
     def __init__(self, settings: Settings, send: Send) -> None:
         self._settings = settings
         self._send = send
 
     async def follow(self) -> None:
-        """Send reports when they are due, indefinitely."""
+        """Send reports when they are due, until canceled."""
         while True:
             try:
                 await self.send_due()
@@ -99,11 +99,11 @@ class Reports:
         return named_span(name, unix_now(), self.settings.shift.minutes, self.zone)
 
     def span(self, since: str, until: str) -> Shift:
-        """Parse the ends of a span in fields of a page; empty ``until`` is now. Raises Problem 422."""
+        """Parse the ends of a span in fields of a page; empty ``until`` is now. Raise Problem 422."""
         return Shift(self._moment(since, "from"), self._moment(until, "to") if until else unix_now())
 
     def scope(self, bus: str | None, unit: int | None) -> Scope:
-        """Return the scope of a configured bus or unit. Raises Problem 404, 422 for a unit without bus."""
+        """Return the scope of a configured bus or unit. Raise Problem 404, or 422 for a unit without bus."""
         if bus is None and unit is not None:
             raise Problem(422, "invalid", Message("report_unit_without_bus"))
         if bus is None:
@@ -116,7 +116,7 @@ class Reports:
         return Scope(bus, unit)
 
     def scope_of(self, place: str) -> Scope:
-        """Parse a scope, such as ``dry-end`` or ``dry-end/4``; empty is the site. Raises Problem 404."""
+        """Parse a scope such as ``dry-end`` or ``dry-end/4``; empty is the site. Raise Problem 404."""
         bus, slash, address = place.partition("/")
         unit = parse_integer(address, 3) if slash else None
         if slash and unit is None:
@@ -124,8 +124,8 @@ class Reports:
         return self.scope(bus or None, unit)
 
     async def report(self, span: Shift, scope: Scope, most_stops: int = maxsize) -> dict[str, Any]:
-        """Make the report of a span, up to now if it is under way, with at most so many stops of each unit,
-        the newest. Raises Problem 422, and StoreError."""
+        """Return the report of a span, up to now if it is under way, with at most ``most_stops`` of each
+        unit, the newest. Raise Problem 422 or StoreError."""
         now = unix_now()
         fault = span_fault(span, now, self._count(scope))
         if fault is not None:
@@ -222,11 +222,11 @@ def _at(text: str) -> datetime:
 
 STYLE = "css/pages/report-document.css"
 SHOWN_STOPS = 200
-"""How many stops a page or an HTML file has, the newest; the CSV has all."""
+"""The most stops that a page or an HTML file shows, the newest; the CSV has all."""
 
 
 class ReportDocuments:
-    """The rendering of reports as files, without a request."""
+    """The renderer of reports as files; it needs no request."""
 
     def __init__(self, reports: Reports, templates: Templates, assets: Assets, alarms: LineAlarms) -> None:
         self._reports = reports
@@ -246,7 +246,7 @@ class ReportDocuments:
         )
 
     async def attachment(self, notice: ReportNotice) -> Attachment:
-        """Make the attachment of a mail. Raises Problem for a unit that is gone, and StoreError."""
+        """Return the attachment of a mail. Raise Problem for a unit that is gone, and StoreError."""
         scope = self._reports.scope(notice.bus, notice.unit)
         span = Shift(UnixTime(notice.start), UnixTime(notice.end))
         report = await self._reports.report(span, scope, SHOWN_STOPS)
@@ -255,7 +255,7 @@ class ReportDocuments:
 
 def shown(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return the variables of templates: the report, the newest stops of all units with their causes as
-    messages, its summary."""
+    messages, the summary."""
     rows = [(unit, stop) for unit in report["units"] for stop in unit.get("stops", ())]
     newest = sorted(rows, key=lambda row: row[1]["start"])[-SHOWN_STOPS:]
     return {
@@ -271,7 +271,7 @@ def shown(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def summary(report: Mapping[str, Any]) -> tuple[Message, ...]:
-    """Summarize a report in a few words."""
+    """Return a summary of a report in a few words."""
     line = report["line"]
     return (
         *_stops(line),
@@ -298,7 +298,7 @@ def _length(line: LineFigures) -> Iterator[Message]:
 
 
 def _is_read(report: Mapping[str, Any]) -> bool:
-    """Tell whether any unit was read; whether the others stopped is not known."""
+    """Return whether any unit was read; without readings stops are not known."""
     return any(unit.get("known_s") for unit in report["units"])
 
 

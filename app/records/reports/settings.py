@@ -1,4 +1,4 @@
-"""``[[report]]`` of lineside.toml: reports that are sent by mail on a schedule."""
+"""The settings of reports that are mailed on a schedule: ``[[report]]`` of lineside.toml."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class ReportSettings(StrictModel):
 
     every: ReportEvery
     at: ClockTime = "06:00"
-    """Local time at which the report of a day is sent, and on Mondays that of a week; that of a shift is sent
-    five minutes after its end."""
+    """The local time at which a daily report is sent, and on Mondays a weekly report; a shift's report is
+    sent five minutes after its end."""
     bus: str | None = None
-    """None: all."""
+    """None: all buses."""
     unit: Annotated[int, Field(strict=True, ge=1, le=255)] | None = None
-    """None: all of the bus."""
+    """None: all units of the bus."""
     to: Annotated[tuple[MailAddress, ...], Field(min_length=1, max_length=50)]
 
     @property
