@@ -15,10 +15,14 @@ NO_PORT = "/dev/lineside-no-port"
 
 @contextmanager
 def fed_site(
-    folder: Path, units: int, rate: float, before_start: Callable[[Path], None] = lambda _: None
+    folder: Path,
+    units: int,
+    rate: float,
+    before_start: Callable[[Path], None] = lambda _: None,
+    what: str = "",
 ) -> Iterator[Site]:
     """A served line on which every unit has a new speed ``rate`` times a second. ``before_start`` gets the
-    store."""
+    store; ``what``: "ramping" or, at speed, empty."""
     url = f"http://127.0.0.1:{free_port()}"
     feeder = Feeder()
     made = Site(folder, feeder, url, units, installed=True)
@@ -28,7 +32,7 @@ def fed_site(
         token = made.command("token", "create", "feeder", "--role", "worker", "--bus", "line").strip()
         before_start(folder / "data" / "lineside.db")
         made.start()
-        feeder.start(url, token, units, rate)
+        feeder.start(url, token, units, rate, what)
         made.wait_for_units()
         yield made
     finally:
@@ -41,9 +45,9 @@ class Feeder(Line):
     def __init__(self) -> None:
         self.port = NO_PORT
 
-    def start(self, url: str, token: str, units: int, rate: float) -> None:
+    def start(self, url: str, token: str, units: int, rate: float, what: str) -> None:
         """Begin to feed."""
-        command = [sys.executable, "-m", "benchmarks.feeder", url, token, str(units), str(rate)]
+        command = [sys.executable, "-m", "benchmarks.feeder", url, token, str(units), str(rate), what]
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )

@@ -2,6 +2,7 @@
 
 Every unit has a new speed ``RATE`` times a second, more than any one wire could bring, evenly spread as a
 wire would: one unit in a message, or several where a message each would be more than a hundred a second.
+With ``ramping`` behind the rate all units ramp up and down, else they are at speed.
 Prints ``ready`` when the app has taken the first pass. For a number on standard input, each of so many
 readings that follow changes the e-stop of its unit; then it prints ``flooded``.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
@@ -39,7 +41,9 @@ OPENED_WITHIN_S = 120.0
 TOP = 20_000
 SHOWN = {1: 1750, 2: TOP, 3: 1, 8: 0, 12: 50, 22: 0, 23: 100, 28: 1, 29: 0, 30: 0}
 """The parameters that a speed needs to be shown right: span, one decimal, window."""
-AT_SPEED_REMOTE, RUN, HEALTHY = 0xC0, 0x01, 0x02
+AT_SPEED_REMOTE, REMOTE, RUN, HEALTHY = 0xC0, 0x40, 0x01, 0x02
+RAMP = 300
+"""By how much a unit that ramps is faster or slower at its next reading."""
 
 
 def reading(unit: int, turn: int, inputs: int) -> Reading:
@@ -47,6 +51,13 @@ def reading(unit: int, turn: int, inputs: int) -> Reading:
     commanded = 10_000 + 10 * unit
     actual = commanded - 30 + (7 * turn + unit) % 61
     return Reading(unit, time.time(), commanded, actual, turn % 256, AT_SPEED_REMOTE, inputs)
+
+
+def ramping(unit: int, turn: int, inputs: int) -> Reading:
+    """Up to the top and down again, each unit at another place of its way."""
+    way = (RAMP * turn + 700 * unit) % (2 * TOP)
+    commanded, actual = (TOP, way) if way < TOP else (0, 2 * TOP - way)
+    return Reading(unit, time.time(), commanded, actual, turn % 256, REMOTE, inputs)
 
 
 def _state(unit: int) -> UnitState:
@@ -83,7 +94,19 @@ class EstopFlood:
         return RUN if unit in self._stopped else RUN | HEALTHY
 
 
-async def feed(url: str, token: str, units: int, rate: float, inputs: Inputs, bus: str = "line") -> None:
+Measure = Callable[[int, int, int], Reading]
+"""Makes the reading of a unit and turn with these inputs."""
+
+
+async def feed(
+    url: str,
+    token: str,
+    units: int,
+    rate: float,
+    inputs: Inputs,
+    bus: str = "line",
+    measure: Measure = reading,
+) -> None:
     """Act as a worker of a bus until the server has ended. The server's real worker, which has no port, may
     connect between the hello and the snapshot; then connect a second time, under the same name: the app keeps
     a bus for its worker. Raises RuntimeError where the app refuses it.
@@ -103,7 +126,7 @@ async def feed(url: str, token: str, units: int, rate: float, inputs: Inputs, bu
             with suppress(ConnectionClosed):
                 seq = await _introduce(socket, units, name, bus)
                 print("ready", flush=True)
-                await asyncio.gather(_listen(socket), _speak(socket, units, rate, inputs, seq))
+                await asyncio.gather(_listen(socket), _speak(socket, (units, rate), inputs, seq, measure))
 
 
 async def _introduce(socket: ClientConnection, units: int, name: str, bus: str) -> int:
@@ -124,24 +147,28 @@ async def _listen(socket: ClientConnection) -> None:
             pass
 
 
-async def _speak(socket: ClientConnection, units: int, rate: float, inputs: Inputs, last_seq: int) -> None:
+async def _speak(
+    socket: ClientConnection, pace: tuple[int, float], inputs: Inputs, last_seq: int, measure: Measure
+) -> None:
+    units, rate = pace
     at_once = max(1, round(units * rate / MAX_MESSAGES_S))
     pause, due, sent = at_once / (units * rate), time.monotonic(), 0
     for seq in range(last_seq + 1, sys.maxsize):
         due += pause
         await asyncio.sleep(max(0.0, due - time.monotonic()))
         turns = [(n % units + 1, n // units + 1) for n in range(sent, sent + at_once)]
-        updates: list[Update] = [reading(unit, turn, inputs.inputs(unit)) for unit, turn in turns]
+        updates: list[Update] = [measure(unit, turn, inputs.inputs(unit)) for unit, turn in turns]
         sent += at_once
         await socket.send(encode(Batch(seq, time.time(), updates)))
 
 
-async def _feed_line(url: str, token: str, units: str, rate: str) -> None:
+async def _feed_line(url: str, token: str, units: str, rate: str, what: str = "") -> None:
     flood = EstopFlood()
     asyncio.get_running_loop().add_reader(sys.stdin, flood.request)
-    await feed(url, token, int(units), float(rate), flood)
+    measure = ramping if what == "ramping" else reading
+    await feed(url, token, int(units), float(rate), flood, measure=measure)
 
 
 if __name__ == "__main__":
     with suppress(KeyboardInterrupt, OSError):
-        asyncio.run(_feed_line(*sys.argv[1:5]))
+        asyncio.run(_feed_line(*sys.argv[1:6]))

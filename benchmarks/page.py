@@ -25,12 +25,12 @@ def viewer_page(served: Site, role: str = "viewer") -> Iterator[Page]:
 
 
 @contextmanager
-def fed_page(units: int, rate: float) -> Iterator[tuple[Page, CDPSession]]:
+def fed_page(units: int, rate: float, what: str = "") -> Iterator[tuple[Page, CDPSession]]:
     """The line page, live, of as many units that all change ``rate`` times a second; and its devtools, which
-    count what it does."""
+    count what it does. ``what``: as in :func:`benchmarks.fed.fed_site`."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        fed_site(Path(folder), units, rate) as served,
+        fed_site(Path(folder), units, rate, what=what) as served,
         viewer_page(served) as page,
     ):
         page.goto("/")

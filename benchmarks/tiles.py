@@ -22,8 +22,15 @@ TIMES = 3
 
 
 def run() -> None:
-    """One table."""
-    with fed_page(UNITS, RATE) as (page, devtools):
+    """One table: at speed, and while all ramp."""
+    rows = [[what or "at speed", *_used(what)] for what in ("", "ramping")]
+    header = ["all units", "all processes", "main thread", "layouts a second", "styles a second"]
+    title = f"{UNITS} tiles at {WIDTH} x {HEIGHT}, {RATE * UNITS:.0f} changes a second"
+    show(title, header, rows, f"Of one core, median of {TIMES}; all processes of Chromium at most 10 %.")
+
+
+def _used(what: str) -> list[str]:
+    with fed_page(UNITS, RATE, what) as (page, devtools):
         page.set_viewport_size({"width": WIDTH, "height": HEIGHT})
         page.wait_for_timeout(SETTLE_S * 1000)
         counts = [_counted(devtools)]
@@ -31,10 +38,7 @@ def run() -> None:
             page.wait_for_timeout(MEASURED_S * 1000)
             counts.append(_counted(devtools))
     used, busy, layouts, styles = (median(rates) for rates in zip(*_rates(counts), strict=True))
-    header = ["all processes", "main thread", "layouts a second", "styles a second"]
-    row = [f"{used:.1%}", f"{busy:.1%}", f"{layouts:.0f}", f"{styles:.0f}"]
-    title = f"{UNITS} tiles at {WIDTH} x {HEIGHT}, {RATE * UNITS:.0f} changes a second"
-    show(title, header, [row], f"Of one core, median of {TIMES}; all processes of Chromium at most 10 %.")
+    return [f"{used:.1%}", f"{busy:.1%}", f"{layouts:.0f}", f"{styles:.0f}"]
 
 
 def _counted(devtools: CDPSession) -> tuple[float, ...]:

@@ -2,9 +2,9 @@
 and the WebSocket ``/live`` of a page.
 
 A change is rendered once for each language in use, and all pages of a language get the same bytes in the same
-turn. New measurements of units at speed, and in a flood of changes or with very many pages every change, are
-held back for a moment and go together. Age, which no worker reports, is checked once a second; the same tick
-is the heartbeat that every page draws.
+turn. New measurements of units at speed and of many units that move, and in a flood of changes or with very
+many pages every change, are held back for a moment and go together. Age, which no worker reports, is checked
+once a second; the same tick is the heartbeat that every page draws.
 
 A page may request a snapshot over its socket, but never a command: a command that was clicked while a socket
 was down must never be sent later.
@@ -46,7 +46,7 @@ from app.line.live.fields import (
     unit_key,
 )
 from app.line.live.requests import Admission, key_of
-from app.line.live.screen import ALARM_GROUP, LINE_GROUP, Screen, holders
+from app.line.live.screen import ALARM_GROUP, LINE_GROUP, Change, Screen, holders
 from app.line.live.sources import LineFields, Sources
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
@@ -56,22 +56,22 @@ from bus.pacing import Bucket
 FLOOD = 60
 WINDOW_S = 0.25
 """The changed units within a window that make a flood, more than six full wires bring. In a flood updates go
-out once per window, because pages could not draw them all."""
+out once per window, because pages could not draw them all; so do new measurements, because drawing each by
+itself takes a browser three times the CPU."""
+MOVING_A_SECOND, MAX_AHEAD = 5.0, 30
+"""New speeds of moving units that go at once, in the long run and beyond that: those of one unit of eight while
+it ramps, and the first ones of many."""
 
 FEW_PAGES = 40
 MAX_SENDS_S = 2000
 """Messages a second that many pages share, to bound the load of the server: 200 pages get ten updates a
 second each, 40 and fewer one for each response."""
 
-STEADY_S = 0.2
-"""The seconds between two updates of units that are at speed and only measured again: drawing each by itself
-takes a browser twice the CPU."""
-
 
 @dataclass(slots=True)
 class Flow:
-    """The rate at which open pages are updated: on every response, except of steady units, in a flood or with
-    very many pages."""
+    """The rate at which open pages are updated: on every response, except of steady units, while many units
+    ramp, in a flood or with very many pages."""
 
     clock: MonotonicClock = monotonic_now
     _gap_s: float = 0.0
@@ -79,6 +79,7 @@ class Flow:
     _count: int = 0
     _flooded: bool = False
     _sent_at: Monotonic = Monotonic(-math.inf)
+    _ahead: Bucket = field(default_factory=lambda: Bucket(MOVING_A_SECOND, MAX_AHEAD))
 
     def share(self, pages: int) -> None:
         """Set the number of open pages."""
@@ -92,12 +93,21 @@ class Flow:
             self._began, self._count = now, 0
         self._count += units
 
-    def pause_s(self, *, is_steady: bool = False) -> float:
+    def pause_s(self, change: Change = "state") -> float:
         """Return the seconds to wait before pages are sent the next update: 0 unless all changed units are
-        steady, changes come in a flood, or very many pages are open."""
-        flooded = self._flooded or self._count > FLOOD
-        gap_s = max(self._gap_s, WINDOW_S if flooded else 0.0, STEADY_S if is_steady else 0.0)
-        return max(0.0, self._sent_at + gap_s - self.clock())
+        steady, many of them move, changes come in a flood, or very many pages are open."""
+        now = self.clock()
+        is_held = change == "steady" or (change == "moving" and self._move_often(now))
+        is_flooded = self._flooded or self._count > FLOOD
+        gap_s = max(self._gap_s, WINDOW_S if is_held or is_flooded else 0.0)
+        return max(0.0, self._sent_at + gap_s - now)
+
+    def _move_often(self, now: Monotonic) -> bool:
+        """Count a new speed of a unit that moves; return whether those of more than one unit come."""
+        is_often = not self._ahead.take(now)
+        if is_often:
+            self._ahead.fill(now)
+        return is_often
 
     def sent(self) -> None:
         self._sent_at = self.clock()
@@ -189,7 +199,7 @@ class Broadcast:
             return
         self.flow.came(len(groups) or 1)
         merge_groups(self._held, groups)
-        pause_s = self.flow.pause_s(is_steady=self.screen.is_steady(groups))
+        pause_s = self.flow.pause_s(self.screen.change_of(groups))
         loop = asyncio.get_running_loop()
         due = loop.time() + pause_s
         if self._due is not None:

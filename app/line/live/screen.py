@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from app.core.web.formats import UNKNOWN
 from app.line.conditions.condition import PRIORITIES
@@ -65,6 +65,10 @@ MAX_NAMES = 3
 NO_BREAK = "\u00a0"
 Views = Mapping[str, UnitView]
 """The presentation of each unit, by the group of its fields."""
+
+Change = Literal["state", "moving", "steady"]
+"""What has changed: more than what each reading measures anew, or only that of a unit that moves, or of units
+at speed."""
 
 
 class NamedCause(NamedTuple):
@@ -310,12 +314,12 @@ class Screen:
         """Set fields of a group; return those that changed."""
         return put_fields(self.shown, group, fields)
 
-    def is_steady(self, groups: Groups) -> bool:
-        """Return whether changes are only new measurements of units at speed."""
-        return bool(groups) and all(
-            fields.keys() <= MEASURED and self.shown[group].get("state") == "at_speed"
-            for group, fields in groups.items()
-        )
+    def change_of(self, groups: Groups) -> Change:
+        """Return what kind of change this is, by the state of its units after it."""
+        if not groups or any(fields.keys() - MEASURED for fields in groups.values()):
+            return "state"
+        is_at_speed = all(self.shown[group].get("state") == "at_speed" for group in groups)
+        return "steady" if is_at_speed else "moving"
 
     def flat(self) -> Fields:
         """Return everything shown, by ``group.field``, for the first paint of a page."""

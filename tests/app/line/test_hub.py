@@ -14,7 +14,17 @@ from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.templating import Templates
 from app.line.live.browser import Browser, Diff
 from app.line.live.bus_live import LiveState
-from app.line.live.hub import FEW_PAGES, FLOOD, MAX_SENDS_S, WINDOW_S, Broadcast, Flow, Hub, Watched
+from app.line.live.hub import (
+    FEW_PAGES,
+    FLOOD,
+    MAX_AHEAD,
+    MAX_SENDS_S,
+    WINDOW_S,
+    Broadcast,
+    Flow,
+    Hub,
+    Watched,
+)
 from app.line.live.requests import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, Admission, key_of, new_command_id
 from app.line.live.screen import Screen
 from app.settings import Site
@@ -117,6 +127,21 @@ async def test_what_a_unit_at_speed_measures_waits_for_any_other_change() -> Non
     made.publish({GROUP: {"state": "ramping_up"}})
     (diff,) = await sent_by(browser)
     assert (diff["n"], diff["f"]) == (2, {GROUP: {"actual": "2", "at": "2", "state": "ramping_up"}})
+
+
+async def test_what_one_moving_unit_measures_goes_at_once_and_of_many_together() -> None:
+    made = broadcast(flow()[0])
+    browser = joined(made)
+    made.screen.shown[GROUP]["state"] = "ramping_up"
+    for number in range(1, MAX_AHEAD + 1):
+        made.publish({GROUP: {"actual": str(number)}})
+        assert made.number == number
+    made.publish({GROUP: {"actual": "700"}})
+    assert made.number == MAX_AHEAD
+    made.publish({GROUP: {"state": "at_speed"}})
+    assert made.number == MAX_AHEAD + 1
+    *_, diff = await sent_by(browser)
+    assert diff["f"][GROUP]["actual"] == "700"
 
 
 async def test_among_very_many_delayed_changes_go_as_one() -> None:
