@@ -13,8 +13,8 @@ import os
 import unicodedata
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from datetime import datetime, time, timedelta
-from functools import cache, cached_property
+from datetime import date, datetime, time, timedelta
+from functools import cache, cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
 from zoneinfo import ZoneInfo
@@ -94,10 +94,7 @@ def locale_of(name: str) -> Locale:
 
 def moment(at: datetime, locale: Locale) -> str:
     """Return date and time to the second."""
-    # Imported here, as below, because it takes long, and the command line shows no dates.
-    from babel.dates import format_datetime
-
-    return format_datetime(at, "medium", locale=locale)
+    return f"{day(at, locale)}, {at:%H:%M:%S}"
 
 
 def minute(at: datetime, locale: Locale) -> str:
@@ -107,9 +104,15 @@ def minute(at: datetime, locale: Locale) -> str:
 
 def day(at: datetime, locale: Locale) -> str:
     """Return the date."""
+    return _day(at.date(), locale)
+
+
+@lru_cache(100)
+def _day(day: date, locale: Locale) -> str:
+    # Imported here, because it takes long, and the command line shows no dates.
     from babel.dates import format_date
 
-    return format_date(at.date(), "medium", locale=locale)
+    return format_date(day, "medium", locale=locale)
 
 
 class Language:

@@ -59,8 +59,8 @@ WINDOW_S = 0.25
 out once per window, because pages could not draw them all; so do new measurements, because drawing each by
 itself takes a browser three times the CPU."""
 MOVING_A_SECOND, MAX_AHEAD = 5.0, 30
-"""New speeds of moving units that go at once, in the long run and beyond that: those of one unit of eight while
-it ramps, and the first ones of many."""
+"""New speeds of moving units that go at once, in the long run and beyond that: those of one unit of eight,
+and the first ones of many."""
 
 FEW_PAGES = 40
 MAX_SENDS_S = 2000

@@ -3,12 +3,14 @@ file, and by mail."""
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Query
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import Response, StreamingResponse
 
 from app.core.database import Database
 from app.core.find.finders import Finders, FixedPlace
@@ -20,7 +22,7 @@ from app.core.web.routes import DOWNLOAD, SEARCH, GuardedRoute
 from app.core.web.services import service
 from app.core.web.shape import iso, json_response
 from app.core.web.templating import Templates, formats_of, render
-from app.errors import Problem
+from app.errors import Problem, StoreError
 from app.feature import Feature, Services
 from app.line.alarms.api import Alarms
 from app.line.alarms.line_alarms import LineAlarms
@@ -123,6 +125,8 @@ SPANS: dict[SpanName, Message] = {
     "yesterday": term("Yesterday"),
     "week": term("Last 7 days"),
 }
+_PLACE = b"<!-- report -->"
+"""Where a page has its report."""
 _FILES = {"html": "report.html", "units": "units.csv", "stops": "stops.csv"}
 
 
@@ -137,8 +141,9 @@ async def report_page(
     since: Annotated[OneLine, Query(max_length=40)] = "",
     until: Annotated[OneLine, Query(max_length=40)] = "",
 ) -> Response:
-    """Show the report that the address names (without a span: of the present shift), or why it fails."""
-    report, fault, scope = None, None, EVERYTHING
+    """Show the report that the address names (without a span: of the present shift), or why it fails. What
+    stands before the report is sent before it is read."""
+    fault, scope = None, EVERYTHING
     formats = formats_of(request)
     name = next((name for name in SPANS if name == span), None)
     wanted = reports.named(name or "shift")
@@ -146,25 +151,43 @@ async def report_page(
         if name is None and (since or until):
             wanted = reports.span(formats.typed_time(since), formats.typed_time(until))
         scope = reports.scope_of(place)
-        report = await reports.report(wanted, scope, SHOWN_STOPS)
+        reports.refuse(wanted, scope)
     except Problem as problem:
         fault = problem
     chosen = name or ("" if since or until else "shift")
-    return render(
+    page = render(
         request,
         "reports/page.html",
         status=200 if fault is None else fault.status,
-        **({"report": None} if report is None else shown(report)),
+        start=wanted.start,
         fault=None if fault is None else fault.message,
-        scope=scope,
         place=place,
         places=alarms.places(),
-        place_of=alarms.place,
         spans=[(name, text, _address(place, span=name), name == chosen) for name, text in SPANS.items()],
         since=formats.field_minute(wanted.start) if chosen else since,
         until=formats.field_minute(wanted.end) if chosen else until,
-        files=_files(wanted, place),
     )
+    if fault is not None:
+        return page
+    read = partial(reports.report, wanted, scope, SHOWN_STOPS)
+    parts = _with_report(
+        request, bytes(page.body), read, scope=scope, place_of=alarms.place, files=_files(wanted, place)
+    )
+    return StreamingResponse(parts, headers={"Cache-Control": "no-store"}, media_type="text/html")
+
+
+async def _with_report(
+    request: Request, page: bytes, read: Callable[[], Awaitable[Mapping[str, Any]]], **context: Any
+) -> AsyncIterator[bytes]:
+    """Yield a page up to the place of the report, then the report or why it cannot be read, and the rest."""
+    before, _, after = page.partition(_PLACE)
+    yield before
+    try:
+        part = render(request, "reports/_shown.html", fault=None, **shown(await read()), **context)
+    except (Problem, StoreError) as error:
+        part = render(request, "reports/_shown.html", fault=error.message)
+    yield bytes(part.body)
+    yield after
 
 
 def _address(place: str, **more: str) -> str:

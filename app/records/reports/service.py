@@ -126,10 +126,8 @@ class Reports:
     async def report(self, span: Shift, scope: Scope, most_stops: int = maxsize) -> dict[str, Any]:
         """Return the report of a span, up to now if it is under way, with at most ``most_stops`` of each
         unit, the newest. Raise Problem 422 or StoreError."""
+        self.refuse(span, scope)
         now = unix_now()
-        fault = span_fault(span, now, self._count(scope))
-        if fault is not None:
-            raise Problem(422, "invalid", fault)
         found = await self._figures.units(span, scope, now)
 
         def read(connection: StoreConnection) -> dict[str, Any]:
@@ -137,6 +135,12 @@ class Reports:
                 return span_report(connection, self.settings, span, now, scope, found, most_stops)
 
         return await self._database.read_costly(read)
+
+    def refuse(self, span: Shift, scope: Scope) -> None:
+        """Raise Problem 422 if a span has no report."""
+        fault = span_fault(span, unix_now(), self._count(scope))
+        if fault is not None:
+            raise Problem(422, "invalid", fault)
 
     def _count(self, scope: Scope) -> int:
         """Count the units of a scope, at least one."""

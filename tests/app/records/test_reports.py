@@ -7,16 +7,21 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
+import httpx
 import pytest
+from starlette.types import Message, Receive, Scope, Send
 
 from app.core.web.access import Role
+from app.errors import StoreError
 from app.records.notification.service import Notification
-from app.records.reports.service import ReportSchedule
+from app.records.reports.service import Reports, ReportSchedule
 from app.settings import load
 from bus.configuration import ConfigurationError
 from bus.contract import Reading
 from bus.instants import UnixTime
+from bus.messages import term
 from tests.app.complete_app import House, complete_app
 from tests.app.history_line import Shelf, parameter
 from tests.app.notification_servers import PlayedMailServer, mail_server
@@ -156,6 +161,33 @@ async def test_a_page_without_readings_states_what_it_is_for(house: House) -> No
     assert "No readings of this span are stored." in page
     assert "stop is recorded" not in page
     assert "0 stops" not in page
+
+
+async def test_a_page_is_sent_up_to_its_report_before_that_is_read(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[bytes] = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        async def note(message: Message) -> None:
+            sent.append(message.get("body", b""))
+            await send(message)
+
+        await house.app(scope, receive, note)
+
+    async def fail(*_: Any) -> None:
+        assert b"</form>" in b"".join(sent)
+        raise StoreError(term("The disk is gone."))
+
+    monkeypatch.setattr(Reports, "report", fail)
+    person = await house.signed_in(Role.VIEWER)
+    transport = httpx.ASGITransport(app, client=(house.address, 4711))
+    async with httpx.AsyncClient(
+        transport=transport, base_url=person.base_url, cookies=person.cookies
+    ) as client:
+        page = await client.get("/reports", headers={"Accept-Encoding": "identity"})
+    assert (page.status_code, "The disk is gone." in page.text) == (200, True)
+    assert page.text.rstrip().endswith("</html>")
 
 
 @for_each(
