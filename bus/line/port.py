@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import errno
 import grp
+import math
 import os
 import pwd
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +16,12 @@ from typing import Protocol
 
 from bus.errors import WireError
 from bus.messages import Message
+
+
+SEARCH_S = 10.0
+"""Between two searches for a program that cannot be found: its files are those of another user."""
+_found: dict[Path, tuple[float, list[tuple[int, str]]]] = {}
+"""By device: when it was last searched for who has it, and who had."""
 
 
 def why_not(path: str, error: Exception) -> Message:
@@ -32,8 +40,15 @@ def why_not(path: str, error: Exception) -> Message:
 
 
 def in_use(path: str) -> Message:
-    """Return a message that other programs use ``path``, with their names."""
-    return used_by(path, users_of(path))
+    """Return a message that other programs use ``path``, with their names. A port in use is tried twice a
+    second, so they are searched for again only once those that were found have closed it."""
+    device = Path(path).resolve()
+    searched_at, users = _found.get(device, (-math.inf, []))
+    is_known = all(_has_open(pid, device) for pid, _ in users)
+    if not is_known or (not users and time.monotonic() - searched_at >= SEARCH_S):
+        users = users_of(path)
+        _found[device] = time.monotonic(), users
+    return used_by(path, users)
 
 
 def used_by(path: str, users: Iterable[tuple[int, str]]) -> Message:

@@ -22,6 +22,7 @@ import uvloop
 
 from bus.errors import WireError
 from bus.line import device_server as tcp
+from bus.line import port as serial_port
 from bus.line.line_loop import LineLoop
 from bus.line.opener import Opener, open_port
 from bus.line.port import OpenPort, PartlySent, PortUnavailable, users_of, why_not
@@ -194,7 +195,7 @@ async def test_another_baud_rate_without_reopening() -> None:
 
 
 @on_both_loops
-async def test_a_taken_port_is_named_with_its_holder() -> None:
+async def test_a_taken_port_is_named_with_its_holder(monkeypatch: pytest.MonkeyPatch) -> None:
     with terminal() as name:
         holder = await asyncio.create_subprocess_exec(
             *(
@@ -209,8 +210,11 @@ async def test_a_taken_port_is_named_with_its_holder() -> None:
             assert holder.stdout is not None
             await holder.stdout.readexactly(4)
             assert [pid for pid, _ in users_of(name) if pid == holder.pid]
-            with pytest.raises(PortUnavailable, match=rf"in use by .*\(process {holder.pid}\)"):
-                await open_port(name, 9600, Receiver())
+            for _ in range(2):
+                with pytest.raises(PortUnavailable, match=rf"in use by .*\(process {holder.pid}\)"):
+                    await open_port(name, 9600, Receiver())
+                # The files of all processes are read once, not at each of two attempts a second.
+                monkeypatch.setattr(serial_port, "_pids", lambda: pytest.fail("searched again"))
         finally:
             holder.kill()
             await holder.communicate()
