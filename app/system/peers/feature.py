@@ -34,6 +34,7 @@ from bus.instants import unix_now
 api = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 TemplatesService = Annotated[Templates, service(Templates)]
+LastEventsService = Annotated[LastEvents, service(LastEvents)]
 Own = Annotated[bool, Query(description="Only the lines of this server, without those of its peers.")]
 Size = Literal["large", "medium", "small", "tiny"]
 MAX_OF: dict[Size, int] = {"large": 12, "medium": 24, "small": 54, "tiny": 255}
@@ -43,10 +44,16 @@ three rows; in more."""
 
 @api.get("/sites")
 async def get_sites(
-    _: Viewer, tiles: LineTilesService, templates: TemplatesService, own: Own = False, site: str | None = None
+    _: Viewer,
+    tiles: LineTilesService,
+    events: LastEventsService,
+    templates: TemplatesService,
+    own: Own = False,
+    site: str | None = None,
 ) -> LinesOfSites:
     """List every line of this server and its peers, the worst first. ``site``: only those of the site of this
     name."""
+    await events.read()
     english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
     report = board_json(tiles.board, english, unix_now(), own=own)
     if site is not None:
@@ -55,8 +62,11 @@ async def get_sites(
 
 
 @router.get("/lines")
-async def lines_page(request: Request, _: Viewer, tiles: LineTilesService, site: str = "") -> Response:
+async def lines_page(
+    request: Request, _: Viewer, tiles: LineTilesService, events: LastEventsService, site: str = ""
+) -> Response:
     """Show every line, the worst first; ``site``: only of this one, where there is one of its name."""
+    await events.read()
     lines = tiles.board.lines()
     sites = sorted({line.site for line in lines})
     chosen = site if site in sites else ""
@@ -99,9 +109,15 @@ class LineOnWall:
 
 @router.get("/wallboard")
 async def wallboard_page(
-    request: Request, _: Viewer, tiles: LineTilesService, bus: str = "", peer: str = ""
+    request: Request,
+    _: Viewer,
+    tiles: LineTilesService,
+    events: LastEventsService,
+    bus: str = "",
+    peer: str = "",
 ) -> Response:
     """Show every line in turn, or only that of ``bus``, of this server or of ``peer``. Raises Problem 404."""
+    await events.read()
     hub = service_of(request, Hub)
     reported = tiles.board.lines()
     order = [*hub.live.buses]

@@ -209,19 +209,21 @@ TRACE_S = 1.0
 
 @dataclass(eq=False, repr=False)
 class LastEvents:
-    """The last event of each line: reads the event log where a line has a new event."""
+    """The last event of each line: reads the event log where a line has a new event and somebody sees it."""
 
     live: LiveState
     events: EventLog
     _last: dict[str, EventSummary] = field(default_factory=dict)
     _changed: set[str] = field(default_factory=set)
+    _wanted: asyncio.Event = field(default_factory=asyncio.Event)
 
     def __post_init__(self) -> None:
         self._changed |= set(self.live.buses)
         self.events.subscribe(self._note)
 
     def newest_of(self, bus: str) -> EventSummary | None:
-        """Return the last event of a line, None where there is none yet."""
+        """Return the last event of a line as of the last read, None where there is none yet."""
+        self._wanted.set()
         return self._last.get(bus)
 
     def _note(self, event: Logged) -> None:
@@ -229,8 +231,11 @@ class LastEvents:
             self._changed.add(event.bus)
 
     async def follow(self) -> None:
-        """Run until canceled: read what was logged. While the log cannot be read, the known ones stay."""
+        """Run until canceled: read what was logged, while somebody follows it. While the log cannot be read,
+        the known ones stay."""
         while True:
+            await self._wanted.wait()
+            self._wanted.clear()
             await self.read()
             await asyncio.sleep(READ_EVERY_S)
 

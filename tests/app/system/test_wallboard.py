@@ -65,7 +65,6 @@ async def test_the_last_event_names_unit_change_and_result(tmp_path: Path) -> No
 async def test_the_last_event_is_beside_its_line(tmp_path: Path) -> None:
     async with complete_app(tmp_path, config=two_lines(tmp_path)) as house:
         await house.services[EventLog].record(kind="command", what="Set line", bus="wet-end")
-        await house.services[LastEvents].read()
         shown = (await page(house, "/wallboard?bus=wet-end")).text
         values = dict(re.findall(r'data-live="line_of/wet-end\.(\w+)"[^>]*>([^<]*)<', shown))
         assert values["event"] == "Set line"
