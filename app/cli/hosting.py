@@ -148,7 +148,8 @@ async def _host(
                 settings, demo, tokens, partial(_report_serving, url, manager), since, feed
             )
         workers.watch(server.worker_responds)
-        server.each_second(Liveness(manager, server.services[Database], workers.are_kept).tick)
+        if manager.is_there:
+            server.each_second(Liveness(manager, server.services[Database], workers.are_kept).tick)
         if restarts:
             restart = server.offer_restart()
         restarting = asyncio.create_task(restart.wait())

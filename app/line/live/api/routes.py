@@ -156,7 +156,7 @@ class LineStream:
         self._shown: dict[tuple[str, int | None], Json] = {}
         """The state of each bus and unit (None: the bus itself) as last compared; empty while no one
         reads."""
-        self._is_noting = False
+        self._noting = asyncio.Event()
         self._keys: list[tuple[str, int | None]] = []
         self._turns: Iterator[tuple[str, int | None]] = iter(())
         self._snapshots: dict[str | None, tuple[Monotonic, int, bytes]] = {}
@@ -173,7 +173,7 @@ class LineStream:
     def reading(self) -> Iterator[None]:
         """Note changes while a program reads, and for a while after."""
         self._readers += 1
-        if not self._is_noting:
+        if not self._noting.is_set():
             self._take_up()
         try:
             yield
@@ -221,19 +221,21 @@ class LineStream:
     # --- what changes ---------------------------------------------------------------------------------
 
     async def follow(self) -> None:
-        """Look for what has aged and send heartbeats, until canceled."""
+        """Look for what has aged and send heartbeats while someone reads, until canceled."""
         ticks = 0
         while True:
+            await self._noting.wait()
             await asyncio.sleep(TICK_S)
             ticks += 1
             self.tick(with_heartbeat=ticks % HEARTBEAT_TICKS == 0)
 
     def tick(self, *, with_heartbeat: bool) -> None:
         """Note changes that no report brings: an overdue response, a block."""
-        if self._is_noting and not self._readers and self.monotonic() - self._left_at > AWAY_S:
-            self._is_noting, self._shown, self._snapshots = False, {}, {}
+        if self._noting.is_set() and not self._readers and self.monotonic() - self._left_at > AWAY_S:
+            self._noting.clear()
+            self._shown, self._snapshots = {}, {}
             self._recent.interrupt()
-        if self._is_noting:
+        if self._noting.is_set():
             for bus, unit in islice(self._turns, ceil(len(self._keys) / TICKS_OF_ALL)):
                 self._compare(bus, unit)
         if with_heartbeat:
@@ -241,13 +243,13 @@ class LineStream:
 
     def add(self, kind: str, bus: str | None, make: Callable[[], Any]) -> None:
         """Add an event, which is made only if someone reads. ``bus``: None for the site."""
-        if self._is_noting:
+        if self._noting.is_set():
             self._recent.add(kind, bus, make())
             self._wake()
 
     def _take_up(self) -> None:
         """Begin to compare what is shown of the buses."""
-        self._is_noting = True
+        self._noting.set()
         buses = self._view.live.buses
         self._keys = [(name, unit) for name, bus in buses.items() for unit in (None, *bus.units)]
         self._turns = cycle(self._keys)
@@ -259,7 +261,7 @@ class LineStream:
         self._has_more = asyncio.Event()
 
     def _on_updates(self, bus_name: str, updates: Sequence[Update]) -> None:
-        if self._is_noting:
+        if self._noting.is_set():
             units, is_bus = changed_by(self._view.live.buses[bus_name], updates)
             for unit in (None, *units) if is_bus else units:
                 self._compare(bus_name, unit)
