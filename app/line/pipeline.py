@@ -87,9 +87,8 @@ class Pipeline:
         up."""
         what = Message("event_updates_refused")
         for reason, count in counts.items():
-            if count:
-                refused = LineEvent("worker", None, at, what, "", "", reason, reason.code, count)
-                self._recorder.note(refused)
+            refused = LineEvent("worker", None, at, what, "", "", reason, reason.code, count)
+            self._recorder.note(refused)
 
     def readings_came_late(self, at: UnixTime, count: int, since: UnixTime, until: UnixTime) -> None:
         """Record that the worker delivered readings of an earlier span; trends mark it."""

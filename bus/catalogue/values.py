@@ -85,6 +85,7 @@ def plausible_speed(raw: int | None) -> int | None:
     return raw if raw is not None and raw <= HIGHEST_SPEED else None
 
 
+@lru_cache(1024)
 def plausible_parameter(number: int, raw: int | None) -> int | None:
     """Return a parameter as sent, or None outside of its printed range (manual, 4.0)."""
     known = PARAMETERS.get(number)

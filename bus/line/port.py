@@ -17,7 +17,6 @@ from typing import Protocol
 from bus.errors import WireError
 from bus.messages import Message
 
-
 SEARCH_S = 10.0
 """Between two searches for a program that cannot be found: its files are those of another user."""
 _found: dict[Path, tuple[float, list[tuple[int, str]]]] = {}

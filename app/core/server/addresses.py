@@ -32,6 +32,7 @@ _HOST = re.compile(r"[A-Za-z0-9._-]{1,253}(?::\d{1,5})?|\[[0-9A-Fa-f:.]{2,45}\](
 _SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
 
 
+@lru_cache(maxsize=MAX_REMEMBERED)
 def _parse_address(text: str) -> Address | None:
     """Parse an address; an IPv4 address also in the form of a dual-stack socket, ``::ffff:10.0.0.5``."""
     try:

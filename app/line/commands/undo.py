@@ -224,7 +224,7 @@ class Undoing:
     def begin(self, request: CommandRequest) -> _Write:
         """Note the values before a write is sent."""
         new = values_set(request.action, self._bus) or {}
-        before = self._now(new)
+        before = self._now(new) if request.can_be_undone else {}
         scale = _parameters(scales_of(action_for(before), self._bus) if before else {})
         scale |= _parameters(request.scales or {})
         units = kind_of_command(request.action).units_written(request.action, self._bus)

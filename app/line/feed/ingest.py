@@ -8,7 +8,6 @@ well-formed one only what is plausible (``app.line.feed.plausibility``).
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -201,6 +200,15 @@ class IngestPosition:
     seq: int = 0
 
 
+class Refused(dict[Message, int]):
+    """How many updates of a batch were refused for each reason; mostly empty."""
+
+    def count(self, reason: Message, updates: int) -> None:
+        """Count so many more for a reason."""
+        if updates:
+            self[reason] = self.get(reason, 0) + updates
+
+
 @dataclass(eq=False, repr=False)
 class Ingest:
     """One connection of a worker. ``quota`` and ``coverage`` belong to the bus, over all its connections."""
@@ -293,9 +301,9 @@ class Ingest:
         self._deliver(shifted(batch, self._clock.offset_s))
 
     def _deliver(self, batch: Batch) -> None:
-        now, refused = self._now(), Counter[Message]()
+        now, refused = self._now(), Refused()
         found = sort_updates(batch.updates, self._units, now, live=batch.live)
-        refused[IMPLAUSIBLE] = found.refused
+        refused.count(IMPLAUSIBLE, found.refused)
         for update in (*found.late, *found.live):
             if isinstance(update, Result | Progress):
                 self._channel.on_update(update, self._connection)
@@ -312,25 +320,25 @@ class Ingest:
         if found.live:
             # The present is shown even if history takes no more.
             unknown = [update for update in found.live if not self._window.is_known(update)]
-            refused[KNOWN] += len(found.live) - len(unknown)
+            refused.count(KNOWN, len(found.live) - len(unknown))
             stored = self._within_quota(unknown, refused)
             self._pipeline.batch(found.live, live=True, stored=stored)
         self._coverage.advance(batch, [*late, *found.live], now)
-        if refused.total():
+        if refused:
             self._pipeline.updates_refused(now, refused)
 
-    def _in_window(self, late: Sequence[Update], until: UnixTime, refused: Counter[Message]) -> list[Update]:
+    def _in_window(self, late: Sequence[Update], until: UnixTime, refused: Refused) -> list[Update]:
         """Return the updates from the time that was not followed, without repetitions after a crash."""
         fresh = [update for update in late if not self._window.is_repeated(update)]
         taken = [update for update in fresh if self._window.admits(update, self._clock.offset_s, until)]
-        refused[KNOWN] += len(fresh) - len(taken)
+        refused.count(KNOWN, len(fresh) - len(taken))
         return taken
 
-    def _within_quota(self, updates: Sequence[Update], refused: Counter[Message]) -> list[Update]:
+    def _within_quota(self, updates: Sequence[Update], refused: Refused) -> list[Update]:
         """Return the updates except those that no wire can have carried."""
         now = monotonic_now()
         taken = [update for update in updates if self._quota.admits(update, now)]
-        refused[OVER_QUOTA] += len(updates) - len(taken)
+        refused.count(OVER_QUOTA, len(updates) - len(taken))
         return taken
 
     def _note_time(self, message: Snapshot | Batch) -> None:
