@@ -13,6 +13,7 @@ import pytest
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from app.core.server import gate
 from app.core.server.connections import client_connection
 from app.core.server.gate import CLOSING_S, MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
 from tests.app.gated import PATIENCE_S, Port, everything, gated, until
@@ -229,6 +230,22 @@ async def test_a_worker_may_send_much_at_once_after_hello(site: Site) -> None:
         while len(site.messages) < 2001:  # noqa: ASYNC110
             await asyncio.sleep(0.001)
     assert not reader.at_eof()
+
+
+async def test_a_flood_of_a_worker_in_small_pieces_waits_for_its_turns(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No message comes of a pong, which would hold back what follows until the app has read it."""
+    monkeypatch.setattr(gate, "REPORT_EVERY_S", 3600.0)
+    await site.connect(FEED_PATH)
+    await site.accepted.wait()
+    site.trust()
+    pieces = 30
+    for _ in range(pieces):
+        site.gate.data_received(frame(FIN | PONG) * 80)
+    assert site.gate._held_bytes > pieces * 240
+    site.gate.data_received(frame(FIN | TEXT, b"a report"))
+    await until(lambda: site.messages == ["a report"])
 
 
 @pytest.mark.parametrize(

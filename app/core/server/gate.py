@@ -123,6 +123,8 @@ def age_s(connection: TcpSocket | None) -> float | None:
 
 SLICE_BYTES = 512
 """The bytes given to the parser at once: 85 empty frames or chunks of a byte."""
+REPORT_EVERY_S = 0.01
+"""The seconds between two reports of a worker without a turn."""
 TURN_S = 0.0003
 """The seconds after which no further slice is parsed in this turn: one of chunks of a byte takes as long."""
 MAX_HELD_BYTES, MAX_HELD_PARTS = 64 * 1024, 64
@@ -201,6 +203,7 @@ class Gate(ClientConnection, asyncio.Protocol):
         self._tls: TlsSession | None = None
         self._is_feeding = self._is_heavy = False
         self._awaits_turn = self._awaits_app = False
+        self._reports_from = 0.0
         self._is_full = self._is_socket = self._is_trusted = self._has_responded = False
         self.arrived_at = NEVER
         """The earliest moment at which the first byte of this request can have arrived."""
@@ -232,8 +235,7 @@ class Gate(ClientConnection, asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         if self._ended_at is not None:
             self._pass_over(len(data))
-        elif self._is_trusted and len(data) <= SLICE_BYTES and not self._held and self._may_feed():
-            # This is a report of a worker, one of 40 a second: it takes no more time than a turn would.
+        elif len(data) <= SLICE_BYTES and self._may_report():
             self.inner.data_received(data)
         else:
             waiting = self._held if self._tls is None else self._sealed
@@ -362,6 +364,15 @@ class Gate(ClientConnection, asyncio.Protocol):
         is_awaited = self._is_socket or self._pace.awaited is not Awaited.NOTHING
         is_blocked = self.inner_pauses or self._is_full or self._awaits_app
         return is_awaited and not is_blocked and self._ended_at is None and not self.transport.is_closing()
+
+    def _may_report(self) -> bool:
+        """Return whether uvicorn may have a report of a worker now, without a turn: it takes no more time
+        than a turn would, and 40 a second come. What a worker sends beyond that waits for its turns."""
+        now = self._loop.time()
+        if not self._is_trusted or now < self._reports_from or self._held or not self._may_feed():
+            return False
+        self._reports_from = now + REPORT_EVERY_S
+        return True
 
     def _take_turn(self) -> None:
         self._awaits_turn, end = False, self._loop.time() + TURN_S
