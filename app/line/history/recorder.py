@@ -14,7 +14,7 @@ import threading
 from array import array
 from bisect import bisect_right, insort
 from collections import deque
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -148,6 +148,16 @@ class Tail:
                 if place < len(runs) and minute + MINUTE > after:
                     found.setdefault(unit, []).extend(_plain(runs[place:]))
         return found
+
+    def hours_near(self, units: Collection[int]) -> set[int]:
+        """Return the hours, µs, whose figures readings of units will undo once they are in their blocks."""
+        with self._lock:
+            return {
+                edge - edge % HOUR
+                for unit, minute in self._minutes
+                if unit in units
+                for edge in (minute - 2 * MINUTE, minute + 3 * MINUTE - 1)
+            }
 
     def minute(self, unit: int, minute: int) -> list[PlainRun]:
         """Return all runs of one unit in one minute."""

@@ -90,7 +90,7 @@ def is_sealed(packed: bytes, basis: int) -> bool:
 def basis_of(connection: tables.StoreConnection, bus: BusSettings, unit: int) -> int:
     """Return a checksum of everything besides readings that determines a unit's figures: settings and
     scales."""
-    units = [each for each in (unit_before(bus, unit), unit) if each is not None]
+    units = units_of(bus, unit)
     keys = [tables.find_unit(connection, bus.name, each) for each in units]
     steps = [tables.parameter_steps(connection, key) for key in keys if key is not None]
     return crc32(repr((_FORMAT, units, bus.estop_healthy, bus.follower_speed, steps)).encode())
@@ -101,6 +101,11 @@ def unit_before(bus: BusSettings, unit: int) -> int | None:
     before = bus.seams[unit].before if unit in bus.seams else None
     quantities = {each.labels.unit for each in bus.unit if each.id in (before, unit)}
     return before if len(quantities) == 1 else None
+
+
+def units_of(bus: BusSettings, unit: int) -> list[int]:
+    """Return the units whose readings determine a unit's figures: the one before it, and itself."""
+    return [each for each in (unit_before(bus, unit), unit) if each is not None]
 
 
 def work_out(connection: tables.StoreConnection, bus: BusSettings, unit: int, hour: int) -> None:
@@ -161,8 +166,11 @@ class BusReport:
         at, end = self._span
         hours = at + -at % HOUR, end - end % HOUR
         basis = basis_of(connection, self._bus, unit)
+        keys = (tables.find_unit(connection, self._bus.name, each) for each in units_of(self._bus, unit))
+        # Before the figures are read: what is in the tail then and not in its block is not in them.
+        late = tail.hours_near([key for key in keys if key is not None])
         for hour, packed in tables.figures_between(connection, self._bus.name, unit, *hours):
-            if not is_sealed(packed, basis):
+            if hour in late or not is_sealed(packed, basis):
                 continue
             if at < hour:
                 yield self.figures(connection, tail, unit, (at, hour))

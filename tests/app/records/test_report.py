@@ -4,11 +4,17 @@ alone."""
 from __future__ import annotations
 
 import json
+import os
+import shutil
+import signal
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
+from multiprocessing import get_context
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import pytest
@@ -303,11 +309,14 @@ def test_late_readings_marks_other_scales_and_damage_undo_stored_figures(tmp_pat
     assert stored() == every
     late = (UnixTime(NOON + 1800 + second) for second in range(60))
     shelf.keep([Reading(1, at, 100, 0, 0, 0x40, ON) for at in late])
+    assert stored() == every
+    read_at_once = read_units(shelf, span)
     shelf.fold()
     assert stored() == {(1, 2), (2, 2)}, "of the hour and those beside it, of both units, as a draw is"
     shelf.work_out(TWO)
     assert stored() == every
     [first, second] = read_units(shelf, span)
+    assert [first, second] == read_at_once, "also before they were in their blocks"
     assert first.runs is not None
     assert (len(first.runs.stops), first.runs.fastest) == (1, 10.1)
     damage = "UPDATE figures SET data = CAST(replace(CAST(data AS TEXT), '10.1', '90.1') AS BLOB)"
@@ -321,6 +330,90 @@ def test_late_readings_marks_other_scales_and_damage_undo_stored_figures(tmp_pat
     shelf.keep([UnitLink(unit=2, at=UnixTime(NOON + 3660), link="offline")])
     assert stored() == {(1, -1), (2, -1), (1, 2), (2, 2)}
     shelf.close()
+
+
+LATE_STOPS = 4
+
+
+def with_holes() -> list[Reading]:
+    """Return the readings of some minutes without those of some stops of 10 s."""
+    return history_of([(50, 100, ON, 10)] * LATE_STOPS + [(50, 100, ON, 0)])
+
+
+def late_stop(number: int) -> list[Reading]:
+    """Return the readings of one of the stops."""
+    began = BEGAN + 50 + 60 * number
+    return [Reading(1, UnixTime(began + second), 100, 0, 0, 0x40, ON) for second in range(10)]
+
+
+def stops_read(shelf: Shelf) -> int:
+    [first, _] = read_units(shelf, (round(NOON) * SECOND - HOUR, round(NOON) * SECOND))
+    assert first.runs is not None
+    return len(first.runs.stops)
+
+
+def test_a_report_that_is_read_while_late_readings_come_has_all_that_came_before(tmp_path: Path) -> None:
+    shelf = stored_history(tmp_path, with_holes(), "worked out")
+    begun, done, found = [0], [0], list[tuple[int, int, int]]()
+
+    def read() -> None:
+        while done[0] < LATE_STOPS:
+            before = done[0]
+            stops = stops_read(shelf)
+            found.append((before, stops, begun[0]))
+
+    with ThreadPoolExecutor(1) as thread:
+        reading = thread.submit(read)
+        for number in range(LATE_STOPS):
+            count = len(found)
+            while len(found) < count + 2:
+                sleep(0.001)
+            begun[0] += 1
+            shelf.keep(late_stop(number))
+            done[0] += 1
+            shelf.fold()
+            shelf.work_out(TWO)
+        reading.result()
+    assert all(before <= stops <= after for before, stops, after in found), found
+    assert stops_read(shelf) == LATE_STOPS
+    shelf.close()
+
+
+def test_a_kill_at_any_statement_leaves_no_wrong_figures(tmp_path: Path) -> None:
+    stored_history(tmp_path, with_holes(), "worked out").close()
+
+    def change(path: Path, statements: list[str], killed_at: int) -> None:
+        shelf = Shelf(path)
+
+        def note(statement: str) -> None:
+            statements.append(statement)
+            if len(statements) == killed_at:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        shelf.database.write_now(lambda connection: connection.set_trace_callback(note))
+        shelf.keep(late_stop(0))
+        shelf.fold()
+        shelf.work_out(TWO)
+
+    def copied(number: int) -> Path:
+        path = tmp_path / f"{number}.db"
+        shutil.copy(tmp_path / "history.db", path)
+        return path
+
+    statements: list[str] = []
+    change(copied(0), statements, 0)
+    ends = [place for place, text in enumerate(statements, 1) if "figures" in text or text == "COMMIT"]
+    for number in ends[:: max(1, len(ends) // 6)]:
+        path = copied(number)
+        process = get_context("fork").Process(target=change, args=(path, [], number))
+        process.start()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL
+        shelf = Shelf(path)
+        found = stops_read(shelf)
+        shelf.database.write_now(lambda connection: connection.execute("DELETE FROM figures"))
+        assert found == stops_read(shelf), statements[number - 1]
+        shelf.close()
 
 
 CONFIGURATION = """\
