@@ -72,9 +72,9 @@ MAX_DROPPED = 50
 """The most blocks that one transaction deletes."""
 MAX_PAGES = 2000
 """The most pages that are given back to the disk at a time."""
-FIGURES_S = 0.02
+FIGURES_S = 0.05
 """The seconds for figures of hours between two commits; those of one unit and hour may take longer."""
-FIGURES_EVERY_S = 120.0
+FIGURES_EVERY_S = 20.0
 """The seconds after the start, and between two searches for hours that have no figures."""
 LOOK_BACK = 92 * DAY
 """How far the first search goes back, µs: the longest report."""
