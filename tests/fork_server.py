@@ -3,12 +3,14 @@ all tests of a run, which takes most of the time of a start.
 
 ``start("serve", "--config", path, stdout=log)`` gives a process, ``run("token", "list", …)`` what a command
 printed. The forked process runs the entry point of the package, with its own arguments, environment, folder,
-umask and standard streams. How an installed program starts is the subject of `tests.app.cli.test_serve`,
-`tests.test_service_unit` and `tests.test_package`, which start it.
+umask and standard streams. A server forks its bus workers too, unless it is to start them. How an installed
+program starts is the subject of `tests.app.system.test_configuration_restart`, `tests.test_service_unit` and
+`tests.test_package`, which start it.
 """
 
 from __future__ import annotations
 
+import asyncio
 import atexit
 import gc
 import json
@@ -21,9 +23,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -110,9 +112,11 @@ def start(
     env: Mapping[str, str] | None = None,
     cwd: Path | None = None,
     umask: int = -1,
+    forks_workers: bool = True,
 ) -> ForkedProcess:
     """Run a command of the program. ``stdout`` and ``stderr`` may be `subprocess.PIPE`. Those that are not
-    given are the streams of the tests; without ``stdin`` there is no input.
+    given are the streams of the tests; without ``stdin`` there is no input. ``forks_workers``: a server forks
+    its bus workers, whose command line is then that of the fork server; otherwise it starts them.
     """
     printed, output = _stream(stdout, sys.__stdout__)
     complaints, errors = _stream(stderr, sys.__stderr__)
@@ -123,6 +127,7 @@ def start(
         "environment": dict(os.environ if env is None else env),
         "folder": str(cwd or Path.cwd()),
         "umask": umask,
+        "forks_workers": forks_workers,
     }
     with Path(os.devnull).open("rb") as nothing:
         streams = (stdin or nothing).fileno(), output, errors, reported
@@ -255,10 +260,78 @@ def _become(request: Mapping[str, Any], streams: list[int]) -> Program:
     os.environ.update(request["environment"])
     time.tzset()
     tempfile.tempdir = None
+    if request["forks_workers"]:
+        asyncio.create_subprocess_exec = partial(fork_if_worker, asyncio.create_subprocess_exec)
     program: Program = request["program"]
     sys.argv = [ENTRY_POINTS[program][1], *request["words"]]
     sys.orig_argv = [sys.executable, *sys.argv]
     return program
+
+
+# --- in a forked server ----------------------------------------------------------------------------
+
+
+async def fork_if_worker(start_process: Callable[..., Any], *words: str, **options: Any) -> Any:
+    """Fork a bus worker where the server would start one, which takes half a second to import what the server
+    has imported; start any other process. The worker uses nothing that a thread of the server may hold."""
+    if words[1:4] != ("-P", "-m", "bus"):
+        return await start_process(*words, **options)
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        with suppress(BaseException):
+            os._exit(run_worker(words[4:], reading, options["env"]))
+        os._exit(1)
+    os.close(reading)
+    return ForkedWorker(pid, os.fdopen(writing, "wb", buffering=0))
+
+
+def run_worker(words: Sequence[str], token: int, environment: Mapping[str, str]) -> int:
+    """Run a worker in a process that was forked from a server; its exit code."""
+    signal.set_wakeup_fd(-1)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, signal.SIG_DFL)
+    os.setpgrp()
+    os.dup2(token, 0)
+    os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+    os.environ.clear()
+    os.environ.update(environment)
+    code: int = import_module("bus.__main__").main(list(words))
+    return code
+
+
+class ForkedWorker:
+    """A worker as the server sees it, in place of `asyncio.subprocess.Process`."""
+
+    def __init__(self, pid: int, stdin: IO[bytes]) -> None:
+        self.pid, self.stdin = pid, stdin
+        self.returncode: int | None = None
+        self._ended = asyncio.Event()
+        self._pidfd = os.pidfd_open(pid)
+        asyncio.get_running_loop().add_reader(self._pidfd, self._end)
+
+    def _end(self) -> None:
+        asyncio.get_running_loop().remove_reader(self._pidfd)
+        os.close(self._pidfd)
+        self.returncode = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        self._ended.set()
+
+    async def wait(self) -> int:
+        """The exit code, minus the signal that ended it."""
+        await self._ended.wait()
+        assert self.returncode is not None
+        return self.returncode
+
+    def terminate(self) -> None:
+        """By SIGTERM."""
+        os.kill(self.pid, signal.SIGTERM)
+
+    def kill(self) -> None:
+        """By SIGKILL."""
+        os.kill(self.pid, signal.SIGKILL)
+
+
+# --- before the first fork -------------------------------------------------------------------------
 
 
 def compile_catalogs_once() -> None:

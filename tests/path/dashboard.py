@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ import httpx
 from tests import fork_server
 from tests.e2e.limits import CALL_S
 from tests.e2e.site import end, eventually, people, run_in_time, wait_until_it_serves
+from tests.fork_server import ForkedProcess
 from tests.free_port import free_port
 from tests.path.independent_unit import Cable, Unit, plugged
 
@@ -28,6 +28,7 @@ class Dashboard:
     cable: Cable
     client: httpx.Client
     tokens: dict[str, str] = field(default_factory=dict)
+    server: ForkedProcess = field(init=False)
 
     def call(
         self, method: str, path: str, body: Any = None, role: str = "admin", **more: Any
@@ -56,12 +57,9 @@ class Dashboard:
         return shown
 
     def workers(self) -> list[int]:
-        """The processes that hold the port."""
-        found = subprocess.run(
-            ["pgrep", "-f", str(self.folder / "lineside.toml")], capture_output=True, text=True
-        )
-        pids = [int(line) for line in found.stdout.split()]
-        return [pid for pid in pids if b"--bus" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        """The processes that hold the port: what the server has started and what has not ended."""
+        children = Path(f"/proc/{self.server.pid}/task/{self.server.pid}/children").read_text().split()
+        return [int(child) for child in children if Path(f"/proc/{child}/cmdline").read_bytes()]
 
     def see(self, number: int, what: str, holds: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """Wait until a unit is shown so; the unit."""
@@ -82,8 +80,10 @@ def dashboard(
     site_toml: str = "",
     bus_toml: str = "",
     cable_of: type[Cable] = Cable,
+    **options: Any,
 ) -> Iterator[Dashboard]:
-    """Serve these units; every one has been read, with its parameters, when this begins."""
+    """Serve these units; every one has been read, with its parameters, when this begins. ``options``: of
+    `fork_server.start`."""
     url = f"http://127.0.0.1:{free_port()}"
     with (
         plugged(folder / "tty", units, cable_of) as cable,
@@ -96,7 +96,8 @@ def dashboard(
         shutil.copytree(data, folder / "data")
         made.tokens.update(new)
         with (folder / "serve.log").open("ab") as log:
-            server = fork_server.start("serve", "--config", config, stdout=log, stderr=log)
+            called = ("serve", "--config", config)
+            made.server = server = fork_server.start(*called, stdout=log, stderr=log, **options)
             try:
                 run_in_time(server)
                 wait_until_it_serves(server, folder / "serve.log", lambda: _serves(made))

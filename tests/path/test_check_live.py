@@ -15,7 +15,7 @@ from tests.path.independent_unit import Unit
 @pytest.mark.soak
 def test_a_running_server_is_recognized_and_left_alone(tmp_path: Path) -> None:
     with (
-        dashboard(tmp_path, [Unit(1, commanded=1000, actual=1000)]) as plant,
+        dashboard(tmp_path, [Unit(1, commanded=1000, actual=1000)], forks_workers=False) as plant,
         socket.create_server(("127.0.0.1", 0)) as device_server,
     ):
         [worker] = plant.workers()

@@ -72,13 +72,14 @@ def is_alive(pid: int) -> bool:
 
 
 @contextmanager
-def started(*words: str, as_installed: bool = False) -> Iterator[tuple[Process, str]]:
-    """The process and the URL that it prints. ``as_installed``: by the command; otherwise it is forked."""
+def started(*words: str, as_installed: bool = False, **options: Any) -> Iterator[tuple[Process, str]]:
+    """The process and the URL that it prints. ``as_installed``: by the command; otherwise it is forked, with
+    the ``options`` of `fork_server.start`."""
     process: Process
     if as_installed:
         process = subprocess.Popen([LINESIDE, *words], stdout=subprocess.PIPE, text=True)
     else:
-        process = fork_server.start(*words, stdout=subprocess.PIPE)
+        process = fork_server.start(*words, stdout=subprocess.PIPE, **options)
     assert process.stdout is not None
     try:
         line = process.stdout.readline()
@@ -208,7 +209,7 @@ def test_the_app_knows_its_worker_reports_the_missing_port_and_shares_its_data_w
     config: Path,
 ) -> None:
     token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
-    with started("serve", "--config", str(config)) as (process, url):
+    with started("serve", "--config", str(config), forks_workers=False) as (process, url):
 
         def bus() -> Any:
             headers = {"Authorization": f"Bearer {token}"}
