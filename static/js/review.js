@@ -76,7 +76,7 @@ function watchUnit(form, part) {
   endings.push(
     listen(group, (fields) => {
       const present = key ? value(key) : undefined;
-      const moved = present !== undefined && present !== was ? word("moved", present) : "";
+      const moved = present !== undefined && present !== was ? word("moved", present || "–") : "";
       const reason = (unit ? whyNot(fields) : "") || moved;
       if (reason) end(form, name ? `${name}: ${reason}` : reason);
     }),

@@ -185,7 +185,9 @@ async def _find(live: LiveState, search: Search) -> Iterable[FoundPlace]:
         for unit in bus.units.values():
             label = Message.of("find_replace", unit=unit.settings.name)
             href = f"/swap/{unit_key(bus.settings.name, unit.settings.id)}"
-            found += matched(search, FoundPlace(label, href), search.language.t(label), *unit.names)
+            places = matched(search, FoundPlace(label, href), search.language.t(label), *unit.names)
+            # Whoever types the name of a unit wants the unit, before its replacement.
+            found += (place._replace(rank=place.rank + 1) for place in places)
     return found
 
 

@@ -114,6 +114,8 @@ def risks_of(
     found: list[Message] = []
     if setpoint is not None and _is_above_display(unit, setpoint):
         found.append(Message("risk_above_display"))
+    if setpoint is not None and unit.staged not in (None, setpoint):
+        found.append(Message.of("risk_staged", value=setpoint_message(unit.staged, unit)))
     if unit.reading is not None:
         if unit_link_now(bus, unit, now) == "stale":
             found.append(Message.of("risk_stale", age=round(max(0.0, now - unit.reading.at))))
@@ -311,7 +313,8 @@ def _stays_at(unit: UnitLive) -> Message:
 
 
 def _percent(percent: Decimal, sign: str = "") -> Message:
-    return number(f"{percent:{sign}}".replace("-", "\N{MINUS SIGN}"))
+    text = f"{percent:{sign}}".replace("-", "\N{MINUS SIGN}")
+    return number(text if percent else text.replace("+", "±"))
 
 
 Tone = Literal["good", "bad", "unknown"]

@@ -98,6 +98,13 @@ def test_the_numbers_are_params() -> None:
     ]
 
 
+def test_a_new_setpoint_discards_another_that_is_staged() -> None:
+    bus = after().buses["dry"]
+    bus.units[1].staged = 1230
+    assert [risk.code for risk in risks_of(bus, bus.units[1], NOW, KNOWN, 1200)] == ["risk_staged"]
+    assert risks_of(bus, bus.units[1], NOW, KNOWN, 1230) == ()
+
+
 def test_one_remark_names_all_its_units() -> None:
     offline, local = Message("obstacle_offline"), Message("obstacle_not_in_remote")
     found = by_remark([("A", local), ("B", offline), ("C", local)])
