@@ -31,6 +31,7 @@ from bus.simulator.plant import demo_line
 from tests.e2e import site as sites
 from tests.e2e.limits import PAGE_MS, PAGE_S
 from tests.e2e.site import AT_REST, PASSWORD, Site, eventually
+from tests.free_port import free_port
 
 CHROMIUM = "/usr/bin/chromium-headless-shell"
 FLAGS = [
@@ -97,13 +98,25 @@ def pytest_runtest_makereport(
     return report
 
 
+@pytest.fixture(scope="session")
+def ports() -> list[int]:
+    """Ports of sites that have ended. The next site takes one of them, so that a page that is kept has its
+    scripts and styles already."""
+    return []
+
+
 @pytest.fixture(scope="module")
-def line_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Site]]:
+def line_server(tmp_path_factory: pytest.TempPathFactory, ports: list[int]) -> Iterator[Callable[..., Site]]:
     """Starts sites: ``line_server(units=4, line_options=AT_REST, toml="…")``."""
     with ExitStack() as stack:
-        yield lambda units=8, **options: stack.enter_context(
-            sites.site(tmp_path_factory.mktemp("site"), units, **options)
-        )
+
+        def start(units: int = 8, **options: Any) -> Site:
+            port = ports.pop() if ports else free_port()
+            stack.callback(ports.append, port)
+            folder = tmp_path_factory.mktemp("site")
+            return stack.enter_context(sites.site(folder, units, port=port, **options))
+
+        yield start
 
 
 @pytest.fixture(scope="module")
@@ -163,10 +176,9 @@ def browser_page(browser: Browser, request: pytest.FixtureRequest) -> Iterator[O
 
 @dataclass
 class KeptPage:
-    """A page between two tests, its cookies as it was made, and the errors that it has logged."""
+    """A page between two tests, and the errors that it has logged."""
 
     page: Page
-    cookies: Any
     complaints: list[str]
 
     def reset(self) -> None:
@@ -174,13 +186,11 @@ class KeptPage:
         self.page.mouse.move(0, 0)
         self.page.goto("/healthz", wait_until="commit")
         self.page.evaluate("localStorage.clear(); sessionStorage.clear()")
-        self.page.context.clear_cookies()
-        self.page.context.add_cookies(self.cookies)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope=browser_scope)
 def kept_pages(browser: Browser) -> Iterator[dict[str, KeptPage]]:
-    """The pages of ``shared_page``, by role and context."""
+    """The pages of ``shared_page``, by address and context."""
     assert browser.is_connected()
     pages: dict[str, KeptPage] = {}
     yield pages
@@ -192,23 +202,27 @@ def kept_pages(browser: Browser) -> Iterator[dict[str, KeptPage]]:
 def shared_page(
     browser: Browser, kept_pages: dict[str, KeptPage], request: pytest.FixtureRequest
 ) -> Iterator[OpensPages]:
-    """As ``browser_page``, but the next test may get the same page again, once it has been reset: a new page
-    is a new process, which takes as long as to load it. For tests that add no routes, scripts or clock to it.
+    """As ``browser_page``, but the next test may get the same page again, once it has been reset, in another
+    size and role: a new page is a new process that loads and compiles everything, which takes as long again
+    as the load. For tests that add no routes, scripts or clock to it.
     """
     used: dict[str, KeptPage] = {}
 
     def open_page(role: str | None = "operator", site: Site | None = None, **context: Any) -> Page:
         served: Site = site or request.getfixturevalue("site")
-        kind = repr((served.url, role, sorted(context.items())))
+        context = {"locale": ENGLISH, **context}
+        size = context.pop("viewport", DEFAULT_SIZE)
+        kind = repr((served.url, sorted(context.items())))
         assert kind not in used, "a second page of this kind in one test: use browser_page"
         if kind not in kept_pages:
             complaints: list[str] = []
-            page = new_page(browser, served, role, complaints, context)
-            kept_pages[kind] = KeptPage(page, page.context.cookies(), complaints)
+            kept_pages[kind] = KeptPage(new_page(browser, served, None, complaints, context), complaints)
         used[kind] = kept_pages.pop(kind)
-        used[kind].page.set_viewport_size(context.get("viewport", DEFAULT_SIZE))
-        used[kind].page.emulate_media(color_scheme="light")
-        return used[kind].page
+        page = used[kind].page
+        page.set_viewport_size(size)
+        page.emulate_media(color_scheme="light", media="null")
+        sign_in(page, served, role)
+        return page
 
     yield open_page
     complaints = [text for kept in used.values() for text in kept.complaints]
@@ -241,6 +255,14 @@ def new_page(
 def is_complaint(message: Any) -> bool:
     """An error or a broken content policy; a failed request is the page's business, not the console's."""
     return message.type == "error" and not any(words in message.text for words in REQUEST_FAILED)
+
+
+def sign_in(page: Page, site: Site, role: str | None) -> None:
+    """Give a page the cookies of a role, and no other; those of no role: none."""
+    page.context.clear_cookies()
+    if role:
+        assert page.context.browser is not None
+        page.context.add_cookies(signed_in(page.context.browser, site, role)["cookies"])
 
 
 def signed_in(browser: Browser, site: Site, role: str) -> Any:

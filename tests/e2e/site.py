@@ -44,9 +44,9 @@ from tests.simulator_remote import Remote
 LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
 PASSWORD = "collect house bakery stable"
-AT_REST = ("--no-script", "--no-unrest", "--turnaround-ms", "20")
-"""Units to which nothing happens but what the test does. They respond as late as drives do, so that the
-processes of a line do half as much for as long as it is there."""
+AT_REST = ("--no-script", "--no-unrest", "--turnaround-ms", "50")
+"""Units to which nothing happens but what the test does. They respond later than drives do, so that the
+processes of a line, which poll all the time, do a third of what they would."""
 
 ONE_REQUEST = httpx.Limits(max_keepalive_connections=0)
 """For each connection of a client: the server closes one that is idle, maybe as the next request is sent."""
@@ -54,12 +54,14 @@ ONE_REQUEST = httpx.Limits(max_keepalive_connections=0)
 
 def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_S) -> Any:
     """The first true result of ``condition``; fails with ``what`` when there is none in time."""
-    end = time.monotonic() + within
+    end, pause = time.monotonic() + within, 0.02
     while time.monotonic() < end:
         result = condition()
         if result:
             return result
-        time.sleep(0.05)
+        # A call of the API is 15 ms of work: who waits long, asks less often.
+        time.sleep(pause)
+        pause = min(pause * 1.5, 0.3)
     raise AssertionError(f"not within {within:g} s: {what}")
 
 
@@ -301,6 +303,7 @@ def site(
     folder: Path,
     units: int = 8,
     *,
+    port: int | None = None,
     line_options: tuple[str, ...] = (),
     toml: str = "",
     turnaround_ms: int = 500,
@@ -315,7 +318,7 @@ def site(
     environment. ``certificate``: serve HTTPS with ``server.pem`` of this folder, which has its authority.
     """
     scheme = "http" if certificate is None else "https"
-    url = f"{scheme}://127.0.0.1:{free_port()}"
+    url = f"{scheme}://127.0.0.1:{port or free_port()}"
     made = Site(folder, start_line(folder, units, *line_options), url, units)
     if certificate is not None:
         made.certificate = ssl.create_default_context(cafile=certificate / "ca.pem")

@@ -144,9 +144,9 @@ def tap_twice(page: Page, button: Locator) -> None:
 )
 @pytest.mark.usefixtures("stopped")
 def test_two_taps_on_one_place_acknowledge_one_alarm(
-    site: Site, browser_page: OpensPages, context: dict[str, Any]
+    site: Site, shared_page: OpensPages, context: dict[str, Any]
 ) -> None:
-    page = opened(browser_page(taps=True, **context), site)
+    page = opened(shared_page(taps=True, **context), site)
     before = places(page)
     heights = [height for _, _, _, height in before.values()]
     assert max(heights) <= MAX_ROW_PX[page.viewport_size["width"]]  # type: ignore[index]
@@ -209,9 +209,9 @@ def test_a_new_alarm_moves_no_row(site: Site, shared_page: OpensPages) -> None:
         site.acknowledge_all()
 
 
-def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browser_page: OpensPages) -> None:
+def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, shared_page: OpensPages) -> None:
     site.acknowledge_all()
-    page = opened(browser_page(viewport=PANEL, reduced_motion="no-preference"), site, "/events")
+    page = opened(shared_page(viewport=PANEL, reduced_motion="no-preference"), site, "/events")
     head = page.locator(".top__alarm")
     expect(head).to_have_text(re.compile(r"^\s*No alarms\s*$"))
     boxes = page.evaluate(BOXES)
@@ -246,9 +246,9 @@ def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browse
 
 @pytest.mark.usefixtures("stopped")
 def test_an_acknowledged_emergency_stop_keeps_its_shape_color_and_rank(
-    site: Site, browser_page: OpensPages
+    site: Site, shared_page: OpensPages
 ) -> None:
-    page = opened(browser_page(viewport=PANEL, reduced_motion="no-preference"), site)
+    page = opened(shared_page(viewport=PANEL, reduced_motion="no-preference"), site)
     site.line.remote.do("mode", unit=5, to="local")
     try:
         site.acknowledge_all()

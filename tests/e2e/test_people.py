@@ -15,7 +15,6 @@ from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.pages import LIVE, opened
 from tests.e2e.site import AT_REST, ONE_REQUEST, Site, eventually
-from tests.e2e.site import site as one_site
 from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
@@ -23,12 +22,9 @@ WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+def site(line_server: Callable[..., Site]) -> Site:
     """Three units, of which one person at a time holds control."""
-    options = (*AT_REST, "--speedup", "3")
-    toml = "[site]\ncontrol = true\n"
-    with one_site(tmp_path_factory.mktemp("people"), 3, line_options=options, toml=toml) as made:
-        yield made
+    return line_server(3, line_options=(*AT_REST, "--speedup", "3"), toml="[site]\ncontrol = true\n")
 
 
 @pytest.fixture
@@ -161,9 +157,9 @@ COVERS = """() => {
 
 
 def test_control_is_requested_in_the_head_and_a_refused_setpoint_goes_on(
-    site: Site, browser_page: OpensPages, axe: Callable[[Page], list[str]]
+    site: Site, shared_page: OpensPages, browser_page: OpensPages, axe: Callable[[Page], list[str]]
 ) -> None:
-    anna = opened(browser_page("operator", viewport=PANEL), "/alarms")
+    anna = opened(shared_page("operator", viewport=PANEL), "/alarms")
     anna.locator("[data-head-control]").get_by_role("button", name="Take control").click()
     expect(anna.locator("[data-head-control]")).to_contain_text("You have control")
     ben = opened(browser_page("engineer", viewport={"width": 360, "height": 740}), "/units/line/2")
@@ -569,8 +565,8 @@ def test_a_token_is_copied_and_its_page_is_loaded_again_without_it(browser_page:
 
 
 @pytest.mark.provokes("422")
-def test_a_drawer_that_was_refused_opens_again_with_what_was_typed(browser_page: OpensPages) -> None:
-    page = browser_page("admin", locale=ENGLISH)
+def test_a_drawer_that_was_refused_opens_again_with_what_was_typed(shared_page: OpensPages) -> None:
+    page = shared_page("admin")
     page.goto("/users")
     page.get_by_role("button", name="Add a user").click()
     page.locator("#field-name").fill("two words")

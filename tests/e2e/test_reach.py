@@ -136,8 +136,8 @@ def test_a_change_of_many_units_is_one_row_that_fits(shared_page: OpensPages, ax
     assert axe(page) == []
 
 
-def test_on_paper_a_change_has_all_of_its_units(browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport={"width": 794, "height": 1123}), "/events?kind=command")
+def test_on_paper_a_change_has_all_of_its_units(shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport={"width": 794, "height": 1123}), "/events?kind=command")
     units = page.locator(".event__parts").last.locator("tbody tr").first
     expect(units).to_be_hidden()
     page.emulate_media(media="print")

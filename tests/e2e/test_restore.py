@@ -20,7 +20,6 @@ from app.cli import cli
 from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import CALL_S, PROCEDURE_MS, PROCEDURE_S
 from tests.e2e.site import Site, eventually
-from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 900}
 PHONE = {"width": 360, "height": 740}
@@ -30,14 +29,13 @@ NUMBERS = (5, 6, 7, 9, 10, 11, 12, 15, 22, 23, 25, 39)
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+def site(line_server: Callable[..., Site]) -> Site:
     """Two units at rest, and a set of the second."""
-    folder = tmp_path_factory.mktemp("restore")
-    with one_site(folder, 2, line_options=("--no-script", "--speedup", "10"), turnaround_ms=1000) as made:
-        with made.api("engineer") as client:
-            taken = client.post("/buses/line/sets", json={"units": [2], "name": "as it was"})
-            assert taken.status_code == 201, taken.text
-        yield made
+    made = line_server(2, line_options=("--no-script", "--speedup", "10"), turnaround_ms=1000)
+    with made.api("engineer") as client:
+        taken = client.post("/buses/line/sets", json={"units": [2], "name": "as it was"})
+        assert taken.status_code == 201, taken.text
+    return made
 
 
 @pytest.fixture(autouse=True)
@@ -177,7 +175,7 @@ def test_by_keyboard_alone_to_the_proof_which_prints(
     assert page.pdf(format="A4").startswith(b"%PDF")
 
 
-def test_a_setpoint_is_left_out_until_it_is_ticked(site: Site, browser_page: OpensPages) -> None:
+def test_a_setpoint_is_left_out_until_it_is_ticked(site: Site, shared_page: OpensPages) -> None:
     """A running unit has drifted in a ramp, and its operator has set another speed since."""
     with site.api("engineer") as client:
         golden = client.post("/buses/line/sets", json={"units": [2], "name": "as it ought to be"}).json()[
@@ -189,7 +187,7 @@ def test_a_setpoint_is_left_out_until_it_is_ticked(site: Site, browser_page: Ope
     parameter(site, 20, raw=speed - 100)
     site.line.remote.do("input", unit=2, input="run", on=True)
     eventually(lambda: site.unit(2)["inputs"]["run"], "the run input is seen")
-    page = browser_page("engineer", viewport=OFFICE)
+    page = shared_page("engineer", viewport=OFFICE)
     page.goto("/units/line/2/restore")
     expect(page.locator("#source option:checked")).to_contain_text("golden set · as it ought to be")
     page.get_by_role("button", name="Read the unit and show the differences").click()

@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Page, Response, WebSocketRoute, expect
 
 from app.core.help.handbook import WITH_A_PAGE
-from tests.e2e.conftest import ENGLISH, GERMAN, PANEL_PX, SIZES, UNCOVERED, OpensPages
+from tests.e2e.conftest import ENGLISH, GERMAN, PANEL_PX, SIZES, UNCOVERED, OpensPages, sign_in
 from tests.e2e.limits import UNIT_MS
 from tests.e2e.pages import BESIDE_THE_RAIL, WALKED
 from tests.e2e.site import Site, eventually
@@ -63,10 +63,11 @@ def test_each_page_is_accessible_in_one_of_its_looks(
 
 
 def test_a_page_outside_of_the_line_is_accessible(
-    shared_page: OpensPages, axe: Callable[..., list[str]]
+    site: Site, shared_page: OpensPages, axe: Callable[..., list[str]]
 ) -> None:
+    page = shared_page(None, viewport=PHONE)
     for role, path in ((None, "/login"), ("viewer", "/nothing")):
-        page = shared_page(role, viewport=PHONE)
+        sign_in(page, site, role)
         page.goto(path)
         assert flaws_here(page, axe, PHONE["width"]) == [], path
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -14,18 +14,15 @@ from playwright.sync_api import Locator, Page, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.limits import PROCEDURE_MS, PROCEDURE_S
 from tests.e2e.site import Site, eventually
-from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 900}
 PHONE = {"width": 360, "height": 740}
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+def site(line_server: Callable[..., Site]) -> Site:
     """Three units at rest, at ten times the baud rate, so that a reading of all parameters is soon over."""
-    folder = tmp_path_factory.mktemp("sets")
-    with one_site(folder, 3, line_options=("--no-script", "--speedup", "10")) as made:
-        yield made
+    return line_server(3, line_options=("--no-script", "--speedup", "10"))
 
 
 def writes(served: Site, command: int) -> list[dict[str, Any]]:

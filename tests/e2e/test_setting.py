@@ -230,8 +230,8 @@ def test_the_pad_by_touch_erases_and_never_grows_beyond_the_field(
     assert (min(boxes) >= 48, writes(site)) == (True, before)
 
 
-def test_by_touch_every_number_has_a_pad_that_names_it_and_its_limits(browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport={"width": 360, "height": 780}, has_touch=True), "/setpoints")
+def test_by_touch_every_number_has_a_pad_that_names_it_and_its_limits(shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport={"width": 360, "height": 780}, has_touch=True), "/setpoints")
     field, pad = page.locator('[name="new-8"]'), page.locator(".keypad")
     field.tap()
     expect(pad).to_contain_text("0.0 to 200.0")

@@ -235,8 +235,8 @@ FITTED = "() => new Promise(done => requestAnimationFrame(() => requestAnimation
 
 
 @pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
-def test_no_cause_and_no_mark_of_the_line_is_cut_off(browser_page: OpensPages, locale: str) -> None:
-    page = browser_page(viewport=PANEL, locale=locale)
+def test_no_cause_and_no_mark_of_the_line_is_cut_off(shared_page: OpensPages, locale: str) -> None:
+    page = shared_page(viewport=PANEL, locale=locale)
     for path in ("/?view=tiles", "/?view=rows"):
         opened(page, path)
         for width in (320, 620, 1024, 1280, 1920):
@@ -247,9 +247,9 @@ def test_no_cause_and_no_mark_of_the_line_is_cut_off(browser_page: OpensPages, l
 
 @pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
 def test_a_press_anywhere_on_a_unit_opens_it_and_no_part_covers_another(
-    browser_page: OpensPages, locale: str
+    shared_page: OpensPages, locale: str
 ) -> None:
-    page = browser_page(viewport=PANEL, locale=locale)
+    page = shared_page(viewport=PANEL, locale=locale)
     for path in ("/?view=tiles", "/?view=rows", "/?view=matrix", "/lines"):
         opened(page, path)
         for width, height in ((360, 740), (390, 844), (1280, 800), (1920, 1080)):
@@ -320,11 +320,11 @@ def test_without_its_server_a_page_is_accessible(site: Site, browser_page: Opens
 
 
 def test_a_page_whose_scripts_do_not_load_states_that_its_values_stand_still(
-    site: Site, browser_page: OpensPages
+    shared_page: OpensPages, browser_page: OpensPages
 ) -> None:
-    page = browser_page("operator", site=site, viewport=PANEL, java_script_enabled=False)
+    page = browser_page("operator", viewport=PANEL, java_script_enabled=False)
     page.goto("/units/line/1")
     expect(page.get_by_text("The values on this page do not change")).to_be_visible()
     expect(page.get_by_role("link", name="Reload page")).to_be_in_viewport()
-    scripted = opened(browser_page("operator", site=site, viewport=PANEL), "/units/line/1")
+    scripted = opened(shared_page("operator", viewport=PANEL), "/units/line/1")
     expect(scripted.get_by_text("The values on this page do not change")).to_be_hidden()

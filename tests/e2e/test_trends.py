@@ -8,7 +8,7 @@ import re
 import signal
 import sqlite3
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Any
@@ -19,7 +19,6 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.site import Site, eventually
-from tests.e2e.site import site as one_site
 from tests.sizes import sizes
 
 OFFICE = {"width": 1280, "height": 900}
@@ -71,10 +70,9 @@ PHONE = {"width": 360, "height": 740}
 
 
 @pytest.fixture(scope="module")
-def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+def own_site(line_server: Callable[..., Site]) -> Site:
     """Two units, for tests that hurt the server."""
-    with one_site(tmp_path_factory.mktemp("hurt"), 2, line_options=("--no-script",)) as made:
-        yield made
+    return line_server(2, line_options=("--no-script",))
 
 
 def history(served: Site, value: str = "actual", seconds: float = 60, unit: int = 1) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 import re
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import START_MS
 from tests.e2e.pages import LIVE, opened
 from tests.e2e.site import AT_REST, Site, eventually
-from tests.e2e.site import site as one_site
 from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
@@ -27,10 +26,9 @@ LOST = "body[data-link=lost]"
 
 
 @pytest.fixture(scope="module")
-def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+def own_site(line_server: Callable[..., Site]) -> Site:
     """Three units, for tests that hurt the server."""
-    with one_site(tmp_path_factory.mktemp("truth"), 3, line_options=AT_REST, turnaround_ms=250) as made:
-        yield made
+    return line_server(3, line_options=AT_REST, turnaround_ms=250)
 
 
 def received_writes(site: Site) -> int:
@@ -158,9 +156,9 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
 
 @pytest.mark.provokes("WebSocket")
 def test_a_killed_server_is_shown_and_everything_comes_back_with_it(
-    own_site: Site, browser_page: OpensPages
+    own_site: Site, shared_page: OpensPages
 ) -> None:
-    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    page = opened(shared_page(site=own_site, viewport=PANEL), "/")
     own_site.stop(signal.SIGKILL)
     expect(page.locator(LOST)).to_be_attached()
     expect(page.locator("[data-gone-cause]")).to_contain_text("closed")
