@@ -1,4 +1,4 @@
-"""The command ``lineside``. The module of a command is imported only when that command runs."""
+"""The command ``lineside``. A command's module is imported only when the command runs."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "backup-store": ("backup_store", "Copy the stores of a running dashboard into one file."),
     "restore-store": ("backup_store", "Replace the current stores with a backup."),
 }
-"""Name → module in this package, which has the click command of that name, and its line in the help."""
+"""The module in this package with the click command of a name, and the command's line in the help."""
 
 WITHDRAWN = {"home": "home_withdrawn", "migrate-store": "migrate_store_of_former_version"}
-"""Name of a former command → code of the message that names what takes its place."""
+"""The code of the message that names the replacement of a former command, by the command's name."""
 
 
 @contextmanager
 def loading() -> Iterator[None]:
-    """Keep the garbage collector off while code is imported, and what was loaded out of every later
-    collection: that takes a fourteenth of the start, and later pauses of 50 ms."""
+    """Keep the garbage collector off while code is imported, and keep what was loaded out of every later
+    collection: that saves a fourteenth of the start, and later pauses of 50 ms."""
     gc.disable()
     try:
         yield
@@ -56,17 +56,17 @@ def loading() -> Iterator[None]:
 
 
 class Lazy(click.Group):
-    """The group of all commands, which lists them by their lines of `COMMANDS`, and imports the module of the
-    one that is called. Errors of a command end in one line and an exit code."""
+    """The group of all commands, which lists them by their lines of `COMMANDS` and imports the module of the
+    called command. Errors of a command end in one line and an exit code."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        return list(self.commands)  # in this order; click sorts them
+        return list(self.commands)  # keep this order; click would sort the names
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Import the command that ``args`` begin with. Raises click.UsageError for an unknown and a former
-        one."""
+        """Import the command at the start of ``args``. Raise click.UsageError for an unknown or a former
+        command."""
         if args[0] in WITHDRAWN and not ctx.resilient_parsing:
             from bus.messages import Message
 
@@ -115,13 +115,13 @@ def main() -> None:
 
     if parent := named_parent():
         tie_to(parent)
-    # Everything that any command writes is for its user alone.
+    # All files that a command writes are for its user alone.
     os.umask(0o077)
-    # Pydantic would read the metadata of all installed packages for its plugins; there are none.
+    # Pydantic would read the metadata of all installed packages for plugins; there are none.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    # FastAPI would load the former version of Pydantic, 2 MiB, to refuse its models; there are none.
+    # FastAPI would load the former version of Pydantic, 2 MiB, only to refuse its models.
     sys.modules.setdefault("pydantic.v1", cast(ModuleType, None))
-    # Uvicorn would load its command line and multiprocessing; this server is started without.
+    # Uvicorn would load its command line and multiprocessing; this server starts without them.
     uvicorn_main = SimpleNamespace(Server=None, main=None, run=None)
     sys.modules.setdefault("uvicorn.main", cast(ModuleType, uvicorn_main))
     cli(prog_name="lineside")

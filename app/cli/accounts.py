@@ -1,5 +1,5 @@
-"""``lineside user`` and ``lineside token``: who may sign in, and keys for programs, also while the dashboard
-runs."""
+"""The commands ``lineside user`` and ``lineside token``: accounts of people and keys for programs, also while
+the dashboard runs."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def token() -> None:
 
 
 def with_accounts(config: Path, work: Callable[[Accounts], Coroutine[Any, Any, T]]) -> T:
-    """Run ``work`` on the accounts of a site. Raises ConfigurationError, StoreError, CallerError."""
+    """Run ``work`` on the accounts of a site. Raise ConfigurationError, StoreError, CallerError."""
     settings = load(config)
     buses = [bus.name for bus in settings.bus]
     with site_log(settings) as (database, events):
@@ -61,7 +61,7 @@ def add_user(name: str, role: str, password_stdin: bool, config: Path) -> None:
 
 
 def store_user(config: Path, name: str, role: Role, password: str) -> None:
-    """Add a user. Raises CallerError for a name or a password that cannot be chosen."""
+    """Add a user. Raise CallerError for a name or a password that is not acceptable."""
     with_accounts(config, lambda accounts: accounts.add_user(name, role, password, by=console()))
 
 
@@ -90,7 +90,7 @@ def list_users(config: Path, as_json: bool) -> None:
 @from_input
 @config_option
 def set_password(name: str, password_stdin: bool, config: Path) -> None:
-    """Set a new password of a user; every session of that user ends."""
+    """Set a new password for a user; every session of that user ends."""
     new = _password(password_stdin)
     with_accounts(config, lambda accounts: accounts.set_password(name, new, by=console()))
 
@@ -124,8 +124,8 @@ def _token_shown(each: Token) -> dict[str, Any]:
 
 
 def _password(from_input: bool) -> str:
-    """Return the password that was typed or piped; the accounts judge it. A terminal is always prompted: it
-    must not wait without a prompt."""
+    """Return the password that was typed or piped; the accounts check it. A terminal is always prompted: the
+    command must not wait without a prompt."""
     if not sys.stdin.isatty():
         if not from_input:
             raise CallerError(Message("password_without_terminal"))

@@ -1,4 +1,4 @@
-"""``lineside audit``: proof that no entry of the event log was changed, removed or cut off; a newer key."""
+"""The command ``lineside audit``: proof that no event log entry was changed or removed; new keys."""
 
 from __future__ import annotations
 
@@ -62,17 +62,17 @@ def verify(config: Path, anchor: Path | None, archive: Path | None, postgresql: 
 @audit.command("rotate-key")
 @config_option
 def rotate_key(config: Path) -> None:
-    """Seal new entries with a new key, also while the dashboard runs. The older keys stay in the file: they
+    """Seal new entries with a new key, also while the dashboard runs. Older keys stay in the file: they
     verify the entries that they sealed."""
     with site_log(load(config)) as (_, events):
         events.keys.rotate()
-        # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
+        # This entry has the new key: from now on, a log that ends before it is known to be cut off.
         record(events, "audit", ROTATED)
     report(Message.of("key_rotated", file=str(events.keys.path)))
 
 
 def proof_of(settings: Settings, anchor: Path | None = None, archive: Path | None = None) -> list[Message]:
-    """Verify the log of a site; return what is proven. Raises StoreError if it is not intact."""
+    """Verify the log of a site; return the proven facts. Raise StoreError if it is not intact."""
     proof, anchors, archived = _proof(settings, anchor, archive or settings.audit.archive)
     if proof.broken is not None:
         fault = in_english(proof.fault)
@@ -81,7 +81,7 @@ def proof_of(settings: Settings, anchor: Path | None = None, archive: Path | Non
 
 
 def _compared(settings: Settings, config: Path) -> list[Message]:
-    """Compare the log with the plant's database. Raises StoreError if they differ."""
+    """Compare the log with the plant's database. Raise StoreError if they differ."""
     if settings.postgresql is None:
         raise CallerError(Message.of("publish_not_configured", config=str(config)))
     with reading_site(settings) as connection:
@@ -102,7 +102,7 @@ def _compared(settings: Settings, config: Path) -> list[Message]:
 def _proof(
     settings: Settings, anchor: Path | None, archive: Path | None
 ) -> tuple[AuditVerification, Anchors, ArchiveProof]:
-    """Verify the files as they are: nothing is migrated or written."""
+    """Verify the files as they are, without migrating or writing any."""
     check_store(settings)
     if not has_store(settings):
         raise StoreError(Message.of("store_missing", path=str(settings.server.store)))
@@ -121,7 +121,7 @@ def _proof(
 
 
 def _anchors(settings: Settings, named: Path | None, ring: KeyRing) -> Anchors:
-    """Read the anchors of the named or configured file, else of the one beside the key if that exists."""
+    """Read the anchors of the named or configured file, else of the file beside the key if it exists."""
     path = named or anchor_file(settings.audit, settings.key_files)
     if path not in (named, settings.audit.anchor) and not path.exists():
         return Anchors()
@@ -137,7 +137,7 @@ def _ring(paths: Sequence[Path], store: Path | None, heads: Ends) -> KeyRing:
 
 
 def _remarks(proof: AuditVerification, anchors: Anchors, archived: ArchiveProof) -> list[Message]:
-    """Return what the proof covers beside the store, and what it does not."""
+    """Return remarks on what the proof covers besides the store, and on what it leaves out."""
     remarks = []
     if archived.entries:
         remarks.append(Message.of("audit_archive_intact", n=archived.entries))

@@ -1,8 +1,8 @@
-"""``lineside backup-store``: a backup of everything a site keeps, added to a folder of backups or as one
+"""The command ``lineside backup-store``: a backup of all data of a site, in a folder of backups or as one
 file.
 
-``lineside restore-store``: the stores of a backup take the place of the present ones. Rights that were
-withdrawn since stay so, blocks and limits stay in force, and an event names who restored it.
+The command ``lineside restore-store``: the stores of a backup replace the present ones. Rights that were
+withdrawn since then stay withdrawn, blocks and limits stay in force, and an event names who restored.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ ASIDE = ".before-restore"
 def backup_store(file: Path, config: Path, as_json: bool) -> None:
     """Copy every store (events, users, sets, history, pictures) of this configuration while the dashboard
     runs, with the archived events, the configuration and its versions; with [backup] key_file also,
-    encrypted, the key of the audit log, certificates and files of passwords. Into a folder of backups it
-    writes only what is new there, and removes the backups that [backup] does not keep."""
+    encrypted, the key of the audit log, certificates and files of passwords. In a folder of backups it writes
+    only new data, and removes the backups that [backup] does not keep."""
     settings = load(config)
     if file.is_dir():
         done = write_to_folder(settings, file, unix_now())
@@ -107,9 +107,9 @@ def restore_store(
     files_to: Path | None,
     key_file: Path | None,
 ) -> None:
-    """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
-    must not run. Every session ends. Users disabled since the backup stay so; tokens that are not known now
-    are revoked, as is printed before anything is replaced."""
+    """Replace the current stores by those of a backup; the current ones are kept beside them. The dashboard
+    must not run. Every session ends. Users disabled since the backup stay disabled; tokens that are unknown
+    now are revoked, as is printed before anything is replaced."""
     if (file is None) == (folder is None):
         raise click.UsageError(str(Message("restore_needs_one")))
     if files_to is not None:
@@ -143,7 +143,7 @@ def restore_store(
 
 
 def _report_published(settings: Settings, backup: Backup) -> None:
-    """Report what the plant's database has of the time after the backup."""
+    """Report the data in the plant's database that is newer than the backup."""
     if settings.postgresql is None:
         return
     place = settings.postgresql.place
@@ -170,7 +170,7 @@ def _report_published(settings: Settings, backup: Backup) -> None:
 
 @contextmanager
 def _opened(file: Path | None, folder: Path | None, at: str = "", zone: str = "UTC") -> Iterator[Backup]:
-    """Open the backup that the options name. Raises StoreError."""
+    """Open the backup that the options name. Raise StoreError."""
     if file is not None:
         with in_words(file), open_archive(file) as archive:
             yield archive
@@ -210,9 +210,9 @@ def _confirm(file: Path, folder: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """What a restore did. ``withheld``: what was left out of the main store, None if the backup has none;
-    ``anchor``: the anchor of the replaced log under its new name; ``events``: files that were put into the
-    archive of events; ``events_lost``: files that should be beside the backup and are not found."""
+    """The result of a restore. ``withheld``: parts left out of the main store, None if the backup has no main
+    store; ``anchor``: the anchor of the replaced log under its new name; ``events``: files added to the
+    archive of events; ``events_lost``: files that should be beside the backup but are missing."""
 
     names: list[str]
     withheld: Withheld | None
@@ -231,15 +231,15 @@ def put_back(
     begin: Callable[[Sequence[str]], None] = lambda _: None,
     keep_tokens: bool = False,
 ) -> Restored:
-    """Put the stores of a backup into a data folder. The log of the main one continues under the key in the
-    first of ``key_files``; ``anchor``, which names what came after the backup, is put aside.
+    """Put the stores of a backup into a data folder. The main store's log continues with the key in the first
+    of ``key_files``; ``anchor``, which may name entries newer than the backup, is put aside.
     ``event_archive``: the folder that gets archived events that it lacks. ``begin`` is called with the names
-    of the tokens that will be revoked, before anything is replaced; what it raises ends the restore.
+    of the tokens that will be revoked, before anything is replaced; an exception from it ends the restore.
 
-    Raises StoreError, and then leaves everything unchanged but for archived events that came back: every
-    store of the backup is checked, and the main one prepared, before the first is put in its place.
+    Raise StoreError, and then leave all unchanged except for archived events that came back: every store of
+    the backup is checked, and the main store prepared, before the first is put in its place.
     """
-    # Not before: only root may be able to read the backup.
+    # Only now: only root may be able to read the backup.
     message = backup.message
     become_owner_of(data)
     make_private(data)
@@ -268,7 +268,7 @@ def put_back(
                 lost = tuple(
                     name for name in backup.manifest.all_events if not (event_archive / name).exists()
                 )
-            # Before the stores: a log without an anchor is not taken for one that was cut off.
+            # Before the stores: a log without an anchor does not count as one that was cut off.
             put_away = None if anchor is None else put_aside(anchor)
         for fresh in proved:
             _put(fresh, data / fresh.name)
@@ -289,7 +289,7 @@ def _require_archive(folder: Path | None) -> None:
 
 
 def _prove(store: Path, file: Path) -> None:
-    """Raise StoreError for a store of a backup that is damaged, or that Lineside did not make."""
+    """Raise StoreError for a store of a backup that is damaged, or not from Lineside."""
     with examining(store) as connection:
         fault: str | Message = fault_of(connection)
         if not fault and not is_store(connection):
@@ -305,7 +305,7 @@ def _unsound(file: Path, store: str, fault: str | Message) -> StoreError:
 def _refuse_while_open(store: Path) -> None:
     """Raise StoreError for a store that another program uses, and for a link, which may lead anywhere.
 
-    A store in WAL mode gives its exclusive lock to a sole user only. A damaged one has no users, and is
+    A store in WAL mode gives its exclusive lock to a sole user only. A damaged store has no users, and is
     replaced.
     """
     refuse_link(store)
@@ -331,8 +331,8 @@ def _put(fresh: Path, place: Path) -> None:
 def _make_ready(
     fresh: Path, present: Path, backup: Message, key_files: Sequence[Path], *, keep_tokens: bool = False
 ) -> Withheld:
-    """Prepare ``fresh``, the main store of a backup, to take the place of ``present``. ``key_files``: where
-    the key of its audit log is or may be made. Raises StoreError for a store that cannot be used."""
+    """Prepare ``fresh``, the main store of a backup, to replace ``present``. ``key_files``: the places where
+    the key of its audit log is or may be created. Raise StoreError for a store that cannot be used."""
     standing = _standing(present)
 
     def bring_in(connection: StoreConnection) -> Withheld:
@@ -353,7 +353,7 @@ def _make_ready(
 
 @dataclass(frozen=True, slots=True)
 class InForce:
-    """What is in force in the present store, and the newest entry of its log."""
+    """The rights and protection in force in the present store, and its newest log entry."""
 
     rights: Present | None
     protection: Protection
@@ -361,7 +361,7 @@ class InForce:
 
 
 def _standing(present: Path) -> InForce | None:
-    """Read the present store; return None if it cannot be read, which may be why it is replaced."""
+    """Read the present store; return None if that fails, as it may be replaced for being damaged."""
     if not present.exists():
         return None
     try:
@@ -373,7 +373,7 @@ def _standing(present: Path) -> InForce | None:
 
 
 def consequences(withheld: Withheld) -> list[Message]:
-    """Return what a restore does not bring back."""
+    """Return messages about the parts that a restore does not bring back."""
     found = [Message("withheld_sessions")]
     names = {
         "withheld_tokens": withheld.tokens,

@@ -1,4 +1,4 @@
-"""``lineside certificate``: a site's own authority, and the certificates of its server and workers."""
+"""The command ``lineside certificate``: a site's authority and certificates of its server and workers."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from bus.messages import Message
 
 FOLDER = "certificates"
 ELSEWHERE = ("192.0.2.1", "2001:db8::1")
-"""Addresses of documentation (RFC 5737, RFC 3849): the system names the address that it would send from."""
+"""Addresses for documentation (RFC 5737, RFC 3849), for which the system names its sending address."""
 EVERY_ADDRESS = ("0.0.0.0", "::", "[::]")
 AUTHORITY_DAYS = 3650
 DAYS = 730
-"""Browsers refuse a server's certificate of more than 825 days, also of a site's own authority."""
+"""Browsers refuse a server certificate of more than 825 days, even from a site's own authority."""
 _PURPOSES = {"server": ExtendedKeyUsageOID.SERVER_AUTH, "worker": ExtendedKeyUsageOID.CLIENT_AUTH}
 _USAGES = (
     *("digital_signature", "content_commitment", "key_encipherment", "data_encipherment", "key_agreement"),
@@ -59,7 +59,7 @@ def certificate() -> None:
 def create(config: Path, name: Sequence[str]) -> None:
     """Create an authority of the site, a certificate of the server and one of each bus worker, or renew them.
 
-    The authority is made once; a certificate of another authority is never overwritten.
+    The authority is created once; a certificate of another authority is never overwritten.
     """
     settings = load(config)
     names = server_names(settings.server, [_name(each) for each in name])
@@ -78,7 +78,7 @@ def create(config: Path, name: Sequence[str]) -> None:
 
 
 def _refuse_missing_folder(server: ServerSettings, own: Path) -> None:
-    """Raise AuthorityError for a missing folder, before anything is made. ``own`` is made with the
+    """Raise AuthorityError for a missing folder, before anything is created. ``own`` is created with the
     authority."""
     for file in () if server.tls is None else (server.tls.certificate, server.tls.key):
         if file.parent.resolve() != own and not file.parent.is_dir():
@@ -93,14 +93,14 @@ def _name(written: str) -> HostName:
 
 
 def server_names(server: ServerSettings, further: list[HostName]) -> list[str]:
-    """Return the names and addresses under which the dashboard may be opened, each once."""
+    """Return the names and addresses of the dashboard, each once."""
     host = [] if server.host in EVERY_ADDRESS else [server.host.strip("[]")]
     found = [socket.gethostname(), socket.getfqdn(), *host, *server.allowed_hosts, *further, *own_addresses()]
     return list(dict.fromkeys([*found, "localhost", "127.0.0.1", "::1"]))
 
 
 def own_addresses() -> Iterator[str]:
-    """Return the addresses from which this machine would send to others. Nothing is sent."""
+    """Yield the addresses from which this machine would send to others; send nothing."""
     for family, address in zip((socket.AF_INET, socket.AF_INET6), ELSEWHERE, strict=True):
         with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.connect((address, 9))
@@ -108,7 +108,7 @@ def own_addresses() -> Iterator[str]:
 
 
 def _certificates(settings: Settings, folder: Path) -> Iterator[tuple[Path, Path, str, str]]:
-    """Return certificate, key, kind and name of each."""
+    """Yield the file of each certificate and of its key, with kind and name."""
     tls = settings.server.tls
     here = (folder / "server.pem", folder / "server.key") if tls is None else (tls.certificate, tls.key)
     yield *here, "server", socket.gethostname()
@@ -117,11 +117,11 @@ def _certificates(settings: Settings, folder: Path) -> Iterator[tuple[Path, Path
 
 
 class AuthorityError(LinesideError):
-    """Nothing was overwritten; the text gives the reason and what to do."""
+    """Raised if nothing was overwritten; the text gives the reason and the remedy."""
 
 
 class CertificateAuthority:
-    """The authority in ``ca.pem`` and ``ca.key`` of a folder, made if neither exists. Raises
+    """The authority in ``ca.pem`` and ``ca.key`` of a folder, created if neither exists. Raises
     AuthorityError."""
 
     def __init__(self, folder: Path, site: str) -> None:
@@ -143,8 +143,8 @@ class CertificateAuthority:
         self._certificate = certificate
 
     def issue(self, file: Path, key_file: Path, kind: str, name: str, names: Sequence[str] = ()) -> bool:
-        """Make a certificate, or renew one that this authority has signed, with the key that is there; return
-        whether it is a renewal. ``kind``: server or worker; ``names``: host names and addresses."""
+        """Create a certificate, or renew one that this authority has signed with the existing key; return
+        whether it was renewed. ``kind``: server or worker; ``names``: host names and addresses."""
         is_renewal = file.exists()
         if is_renewal and not self._has_signed(_certificate_in(file)):
             raise AuthorityError(Message.of("certificate_is_foreign", file=str(file)))
@@ -176,7 +176,7 @@ class CertificateAuthority:
 
 
 def _key_in(file: Path) -> PrivateKeyTypes:
-    """Read a private key, or make it if the file does not exist. Raises AuthorityError."""
+    """Read a private key, or create it if the file does not exist. Raise AuthorityError."""
     if not file.exists():
         key = ec.generate_private_key(ec.SECP256R1())
         write_file(file, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))

@@ -1,7 +1,7 @@
-"""``lineside check``: the configuration, whether this machine can run it, and whether what it names responds.
+"""The command ``lineside check``: the configuration, this machine, and the devices and servers that it names.
 
-With ``--live`` what the configuration names is tried. Every trial is undone, nothing is sent, and a running
-Lineside is left alone.
+With ``--live`` the command tries what the configuration names. Every trial is undone, nothing is sent, and a
+running Lineside is left alone.
 """
 
 from __future__ import annotations
@@ -63,12 +63,12 @@ from bus.messages import Message, ParamValue, number
 from bus.settings import BusSettings
 
 PortUsers = Mapping[str, Sequence[tuple[int, str]]]
-"""By bus: process id and name of each program that has its port open."""
+"""The process id and name of each program that has a bus's port open, by bus."""
 _PROC = Path("/proc")
 _LOCKS = _PROC / "locks"
 _ESTABLISHED = "01"
 _WORD_BYTES = 4
-"""Of an address in ``/proc/net/tcp``: each word is written as a number of this machine (proc_net_tcp(5))."""
+"""The bytes of each word of an address in ``/proc/net/tcp``, a number of this machine (proc_net_tcp(5))."""
 
 
 def live_findings(settings: Settings, users: PortUsers) -> Iterator[Finding]:
@@ -84,8 +84,8 @@ def live_findings(settings: Settings, users: PortUsers) -> Iterator[Finding]:
 
 
 def is_locked(file: Path) -> bool | None:
-    """Return whether a process has a lock on the file, None if this user cannot see that. It is looked up:
-    trying it would keep a server from it."""
+    """Return whether a process has a lock on the file, None if this user cannot see that. The lock is looked
+    up: trying it would keep a server from taking it."""
     try:
         inode, lines = file.stat().st_ino, _LOCKS.read_text().splitlines()
     except FileNotFoundError:
@@ -123,8 +123,8 @@ def _address(server: ServerSettings, *, has_lock: bool | None, serves: bool) -> 
 
 
 def _folders(settings: Settings) -> Iterator[Finding]:
-    """Report the folders in which a running server writes, unless `lineside check` has found a fault in
-    them."""
+    """Report the folders in which a running server writes, unless `lineside check` has found a fault
+    there."""
     data = settings.server.data
     inner = sorted(_entries(data))
     folders = [data, *(each for each in inner if each.is_dir() and not each.is_symlink())]
@@ -140,7 +140,7 @@ def _folders(settings: Settings) -> Iterator[Finding]:
 
 
 def _entries(data: Path) -> Iterator[Path]:
-    """Return everything below a folder, as far as this user may look."""
+    """Yield everything below a folder, as far as this user may look."""
     for folder, folders, files in os.walk(data):
         yield from (Path(folder, name) for name in (*folders, *files))
 
@@ -164,7 +164,7 @@ def port_users(settings: Settings) -> PortUsers:
 
 
 def port_findings(settings: Settings, users: PortUsers, *, server_runs: bool) -> Iterator[Finding]:
-    """Try each port that the server uses, unless `lineside check` has refused it already."""
+    """Try each port that the server uses, unless `lineside check` has already refused it."""
     for bus in settings.bus:
         if bus.worker == "server" and bus_refusal(bus) is None:
             yield _server(bus, runs=server_runs) if "://" in bus.port else _device(bus, users)
@@ -190,12 +190,12 @@ def _server(bus: BusSettings, *, runs: bool) -> Finding:
 
 
 def _opened(bus: BusSettings, code: str) -> Finding:
-    # Not imported with the commands that open no port.
+    # Imported only here: most commands open no port.
     from bus.line.opener import port_fault
 
     reason = port_fault(bus.port)
     if bus.has_local_port and not Path(bus.port).exists():
-        # As `lineside check` says: it is waited for. Here with the ports that there are instead.
+        # As `lineside check` says, the server waits for the port. This finding adds the ports that exist.
         return info("check_port_refused", bus=bus.name, reason=reason or "")
     if reason is not None:
         return fault("check_port_refused", bus=bus.name, reason=reason)
@@ -203,7 +203,7 @@ def _opened(bus: BusSettings, code: str) -> Finding:
 
 
 def is_worker_of(bus: str, pid: int) -> bool:
-    """Return whether a process is the worker of a bus: a child of the server, or ``lineside worker``."""
+    """Return whether a process is the worker of a bus: a server's child, or ``lineside worker``."""
     try:
         words = (_PROC / str(pid) / "cmdline").read_text().split("\0")
     except (OSError, UnicodeDecodeError):
@@ -213,7 +213,7 @@ def is_worker_of(bus: str, pid: int) -> bool:
 
 
 def is_connected_to(url: str) -> bool:
-    """Return whether a program of this machine has a connection to the device server of a URL."""
+    """Return whether a program of this machine has a connection to a URL's device server."""
     parts = urlsplit(url)
     try:
         found = socket.getaddrinfo(parts.hostname, parts.port, type=socket.SOCK_STREAM)
@@ -224,7 +224,7 @@ def is_connected_to(url: str) -> bool:
 
 
 def _remotes() -> Iterator[tuple[IPv4Address | IPv6Address, int]]:
-    """Return the other end of each connection of this machine."""
+    """Yield the remote end of each connection of this machine."""
     for name in ("tcp", "tcp6"):
         with suppress(OSError):
             for line in (_PROC / "net" / name).read_text().splitlines()[1:]:
@@ -252,7 +252,7 @@ CHECK_S = 15.0
 )
 @json_option
 def check(config: Path, live: bool, as_json: bool) -> None:
-    """Check the configuration and this machine; faults are listed by file and line. Exit 0 or 1."""
+    """Check the configuration and this machine; list faults by file and line. Exit 0 or 1."""
     settings = load(config)
     found = [*_found_of(settings, config.absolute(), live=live)]
     if as_json:
@@ -270,7 +270,7 @@ def check(config: Path, live: bool, as_json: bool) -> None:
 
 
 def _found_of(settings: Settings, config: Path, *, live: bool) -> Iterator[Finding]:
-    """Check with the rights of the service, also if root calls: what the service may not read is a fault."""
+    """Check with the service's rights, also if root calls: files that it may not read are faults."""
     users = port_users(settings) if live else {}  # root sees the programs of every user
     become_owner_of(settings.server.data)
     if not os.access(config, os.R_OK):
@@ -291,7 +291,7 @@ def _open_secrets(*files: Path | None) -> Iterator[Finding]:
 
 
 def oidc(settings: Settings) -> Iterator[Finding]:
-    """Try the package, the file of the secret, and the provider of company accounts, which is only read."""
+    """Try the package, the file of the secret, and the provider of company accounts (only reading)."""
     if (wanted := settings.oidc) is None:
         return
     try:
@@ -321,7 +321,7 @@ async def _provider_fault(settings: OidcSettings) -> Message | None:
 
 
 def notification(site: Settings) -> Iterator[Finding]:
-    """Try the mail server, each program, each roster, and the files of secrets. Nothing is sent."""
+    """Try the mail server, each program, each roster, and the files of secrets. Send nothing."""
     settings = site.notify
     plan = NotificationPlan(settings)
     for name in plan.rosters:
@@ -369,8 +369,7 @@ def _secret_files(settings: NotifySettings) -> Iterator[Path | None]:
 
 
 def postgresql(settings: Settings) -> Iterator[Finding]:
-    """Try the plant's database: the file of its password, the server, the rights, the tables, and the
-    clocks."""
+    """Try the plant's database: the file of its password, the server, the rights, the tables, the clocks."""
     to = settings.postgresql
     if to is None:
         return
@@ -390,7 +389,7 @@ def postgresql(settings: Settings) -> Iterator[Finding]:
 
 
 def _identity(settings: Settings) -> str:
-    """Return the identity in the store; before its first start a server has none that a database knows."""
+    """Return the identity in the store, or before the first start a new one that no database knows."""
     try:
         with examining(settings.server.store) as connection:
             if has_table(connection, "publisher_identity"):
@@ -418,13 +417,13 @@ def mqtt(settings: Settings) -> Iterator[Finding]:
 
 
 async def _try_broker(to: MqttSettings) -> None:
-    """Connect to the broker under a name of its own. Raises BrokerError."""
+    """Connect to the broker under an unused name. Raise BrokerError."""
     async with connected(to, identifier_for(token_hex(8))):
         pass
 
 
 def opcua(settings: Settings) -> Iterator[Finding]:
-    """Say whether OPC UA is served, by the first message of its protocol."""
+    """Report whether OPC UA is served, by the first message of its protocol."""
     if settings.opcua is None:
         return
     try:

@@ -1,4 +1,4 @@
-"""What the commands share: options, exit codes (0 done, 1 failed, 2 wrong use), reports in English, and the
+"""The shared parts of commands: options, exit codes (0 done, 1 failed, 2 wrong use), reports in English, the
 rights of the process."""
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bus.instants import UnixTime
 from bus.messages import Message, ParamValue
 
 WRONG_CONFIGURATION = os.EX_CONFIG
-"""Exit code of a service whose configuration is wrong: another start would end the same way."""
+"""The exit code of a service with a wrong configuration: another start would end the same way."""
 
 
 @contextmanager
@@ -40,14 +40,14 @@ def ending() -> Iterator[None]:
         complain(Message("prompt_without_response"))
         raise click.exceptions.Exit(2) from None
     except BrokenPipeError:
-        raise  # the reader of the output has left: click ends without a message
+        raise  # the reader of the output has gone: click ends without a message
     except OSError as error:
         complain(Message.of("system_error", error=str(error)))
         raise click.exceptions.Exit(1) from error
 
 
 def wrong_option(option: str, code: str, **params: ParamValue) -> click.BadParameter:
-    """Make the error of a wrong value of ``option`` (exit code 2), by the code of its message."""
+    """Return the error for a wrong value of ``option`` (exit code 2), by its message code."""
     return click.BadParameter(str(Message(code, params)), param_hint=option)
 
 
@@ -57,14 +57,14 @@ def report(message: Message, *, err: bool = False) -> None:
 
 
 def complain(reason: Message) -> None:
-    """Print a line to standard error that names the program, as Unix tools do."""
+    """Print a line to standard error that begins with the program's name, as Unix tools do."""
     report(Message.of("command_failed", reason=reason), err=True)
 
 
 def become_owner_of(folder: Path) -> None:
-    """Go on as the owner of a folder, for good, if root calls and the folder belongs to another user: the
-    files of the service stay its own. A missing folder counts as owned by the owner of the folder that it
-    would be made in."""
+    """Become the owner of a folder, permanently, if root calls and the folder belongs to another user: the
+    service keeps owning its files. A missing folder counts as owned by the owner of the folder in which it
+    would be created."""
     if os.geteuid() != 0 or (owner := _owner(folder)) is None:
         return
     uid, gid = owner
@@ -75,7 +75,7 @@ def become_owner_of(folder: Path) -> None:
 
 @contextmanager
 def acting_as_owner_of(folder: Path) -> Iterator[None]:
-    """Act as the owner of a folder within this context, as `become_owner_of` does for good."""
+    """Act as the owner of a folder in this context, as `become_owner_of` does permanently."""
     if os.geteuid() != 0 or (owner := _owner(folder)) is None:
         yield
         return
@@ -92,7 +92,7 @@ def acting_as_owner_of(folder: Path) -> Iterator[None]:
 
 
 def _owner(folder: Path) -> tuple[int, int] | None:
-    """Return user and group of the folder, or of the nearest parent that exists; None if that is root."""
+    """Return user and group of the folder, or of its nearest existing parent; None if that is root."""
     nearest = next((each for each in (folder, *folder.parents) if os.path.isdir(each)), None)  # noqa: PTH112
     if nearest is None:
         return None
@@ -101,9 +101,9 @@ def _owner(folder: Path) -> tuple[int, int] | None:
 
 
 def _groups_of(uid: int, gid: int) -> list[int]:
-    """Return the groups of a user, such as that of the serial ports; a user without a name has its own
-    alone."""
-    # Only root comes here; every other command does without the module.
+    """Return the groups of a user, such as that of the serial ports; a user without a name only has its own
+    group."""
+    # Imported only here, for root; other commands do without the module.
     import pwd
 
     try:
@@ -124,16 +124,16 @@ MAX_TOKEN_BYTES = 4096
 
 
 def default_config(environment: Mapping[str, str] = os.environ, of_service: Path = INSTALLED_CONFIG) -> Path:
-    """Return the configuration of a command that names none: that of the environment, that of an installed
-    service, else ``lineside.toml`` in this folder, which may be yet to be written."""
+    """Return the configuration for a command that names none: that of the environment, else of an installed
+    service, else ``lineside.toml`` in this folder, which need not exist yet."""
     if named := environment.get(CONFIG_VARIABLE):
         return Path(named)
     return of_service if is_installed(of_service) else NEW_CONFIG
 
 
 def is_installed(of_service: Path) -> bool:
-    """Return whether a service has its configuration there. If its folder is closed to this user it counts as
-    installed: the user is then told so, instead of being given another file."""
+    """Return whether a service has its configuration there. A folder that is closed to this user counts as
+    installed: the user is told so, instead of getting another file."""
     folder = of_service.parent
     return os.path.exists(of_service) or (folder.is_dir() and not os.access(folder, os.X_OK))  # noqa: PTH110
 
@@ -162,9 +162,9 @@ token_file_option = click.option(
 
 def bearer_token(token: str, file: Path | None, *more_variables: str, required: bool = True) -> str:
     """Return the token of ``--token``, ``--token-file``, or the environment (``LINESIDE_TOKEN`` or one of
-    ``more_variables``), in this order; empty for none. A command line is visible to every user of the machine
-    while it runs, a file and the environment are not. Raises CallerError for both options, for a file without
-    a token, and for none if one is ``required``."""
+    ``more_variables``), in this order; empty if there is none. All users of the machine can see a running
+    command line, but neither a file nor the environment. Raise CallerError if both options are given, if the
+    file has no token, and if a ``required`` token is missing."""
     if token and file is not None:
         raise CallerError(Message("token_given_twice"))
     if file is not None:
@@ -202,8 +202,8 @@ def _warn_if_shared(file: Path, mode: int) -> None:
 
 
 def typed_time(text: str, zone: ZoneInfo, code: str) -> UnixTime:
-    """Return a time as a person typed it, by the clock of the site unless it names another. Raises
-    CallerError with the message of ``code`` for any other text."""
+    """Return a time that a person typed, by the clock of the site unless it names another. Raise CallerError
+    with the message of ``code`` for other text."""
     try:
         typed = datetime.fromisoformat(text.strip())
         return UnixTime((typed if typed.tzinfo else typed.replace(tzinfo=zone)).timestamp())

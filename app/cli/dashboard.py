@@ -1,4 +1,4 @@
-"""A running dashboard as the commands see it: its HTTP API, and its errors in words."""
+"""A running dashboard for commands: its HTTP API, and its errors in words."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from bus.messages import Message
 
 _AUTHORITIES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
 _TIMEOUT_S = 600.0
-"""A full list of 40 parameters waits for the gaps of a busy line."""
+"""The longest wait for a response: a full list of 40 parameters waits for gaps of a busy line."""
 
 
 class DashboardError(LinesideError):
-    """The dashboard could not be reached, or did not carry out the request."""
+    """Raised if the dashboard could not be reached, or did not carry out the request."""
 
 
 class Dashboard:
@@ -33,7 +33,7 @@ class Dashboard:
         self._client = client
 
     def get(self, path: str, **query: str) -> Any:
-        """Return the JSON of ``/api/v1`` + path. Raises DashboardError and CallerError."""
+        """Return the JSON of ``/api/v1`` + ``path``. Raise DashboardError or CallerError."""
         return self._call("GET", path, params=query)
 
     def post(self, path: str, body: Mapping[str, Any] | None = None) -> Any:
@@ -50,7 +50,7 @@ class Dashboard:
         return {unit["id"]: unit["name"] for unit in buses[bus]["units"]}
 
     def check_unit(self, bus: str, unit: int) -> str:
-        """Return the name of a unit. Raises CallerError for one that is not configured."""
+        """Return the name of a unit. Raise CallerError if it is not configured."""
         units = self.units(bus)
         if unit not in units:
             known = ", ".join(str(number) for number in units)
@@ -58,7 +58,7 @@ class Dashboard:
         return units[unit]
 
     def read_unit(self, bus: str, unit: int, *, gaps: bool = False) -> UnitRows:
-        """Read all parameters of a unit now; with ``gaps`` only in the gaps of the scan."""
+        """Read all parameters of a unit now; ``gaps``: only in the gaps of the scan."""
         name = self.check_unit(bus, unit)
         query = {"refresh": "true", "gaps": str(gaps).lower()}
         rows = [_row(given) for given in self.get(f"/buses/{bus}/units/{unit}/parameters", **query)]
@@ -80,15 +80,15 @@ class Dashboard:
 
 @contextmanager
 def dashboard(url: str, token: str, own: ssl.SSLContext | None = None) -> Iterator[Dashboard]:
-    """Open a dashboard by its base URL and a bearer token. ``own``: what verifies the dashboard of this
-    machine. Raises CallerError for a malformed URL."""
+    """Open a dashboard by its base URL and a bearer token. ``own``: verifies the dashboard of this machine.
+    Raise CallerError for a malformed URL."""
     if not url.startswith(("http://", "https://")):
         raise CallerError(Message.of("dashboard_url_malformed", url=url))
     client = httpx.Client(
         base_url=url.rstrip("/"),
         headers={"Authorization": f"Bearer {token}"},
         timeout=_TIMEOUT_S,
-        trust_env=False,  # a proxy of the environment leads out of the plant
+        trust_env=False,  # a proxy from the environment leads out of the plant
         verify=own or (trusted_authorities() if url.startswith("https://") else True),
     )
     with client:
@@ -96,9 +96,9 @@ def dashboard(url: str, token: str, own: ssl.SSLContext | None = None) -> Iterat
 
 
 def trusted_authorities() -> ssl.SSLContext:
-    """Return a context that trusts the certificates of ``SSL_CERT_FILE`` or ``SSL_CERT_DIR`` alone if they
-    are set, as OpenSSL does; else the well-known ones and those of this machine. Raises CallerError for a
-    file without any."""
+    """Return a context that trusts only the certificates of ``SSL_CERT_FILE`` or ``SSL_CERT_DIR`` if one is
+    set, as OpenSSL does; else the well-known ones and those of this machine. Raise CallerError for a file
+    without certificates."""
     named = next((name for name in _AUTHORITIES if os.environ.get(name)), "")
     try:
         context = httpx.create_ssl_context()

@@ -1,4 +1,4 @@
-"""``lineside demo``: a simulated line and its dashboard, nothing to configure."""
+"""The command ``lineside demo``: a simulated line and its dashboard, without configuration."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CHOOSE = Message("choose_port_demo")
     "--port", type=TCP_PORT, help=f"Port of the dashboard; without it {PORT}, or the next that is free."
 )
 def demo(units: int, port: int | None) -> None:
-    """Run a simulated line with a past and its dashboard until Ctrl-C. Its data is deleted afterwards."""
+    """Run a simulated line with a past and its dashboard until Ctrl-C; then delete its data."""
     since = monotonic_now()
     with (
         listen_from(HOST, PORT, CHOOSE) if port is None else listen(HOST, port, CHOOSE) as listening,
@@ -40,7 +40,7 @@ def demo(units: int, port: int | None) -> None:
     ):
         here, taken = Path(folder), listening.getsockname()[1]
         with _simulator(units, here / "line") as begun:
-            # The simulator begins in its own process while this one reads the rest.
+            # The simulator starts in its own process while this process imports the rest.
             from app.cli.hosting import host
             from app.cli.past import write_past
             from bus.simulator.plant import demo_line
@@ -55,7 +55,7 @@ def demo(units: int, port: int | None) -> None:
 
 @contextmanager
 def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
-    """Run ``lineside simulate`` as a child process; the function that the context gives waits for its
+    """Run ``lineside simulate`` as a child process; the function that the context returns waits for its
     port."""
     called = [sys.executable, "-P", "-m", "app.cli", "simulate", "--units", str(units), "--link", str(link)]
     process = subprocess.Popen(
@@ -71,12 +71,12 @@ def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
         try:
             yield begun
         finally:
-            # It keeps nothing: its port is in the folder that is deleted.
+            # It need not end by itself: its port is in the folder that is deleted.
             process.kill()
 
 
 def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
-    """Return the lineside.toml of a demo."""
+    """Return the text of lineside.toml for a demo."""
     unit = [each.model_dump(exclude_defaults=True) for each in units]
     bus = {"name": "demo", "port": str(line), "draw_percent": [-0.5, 1.0], "unit": unit}
     site = ["[site]", 'name = "Demo line"', "simulated = true", "", "[server]", f"port = {port}", ""]

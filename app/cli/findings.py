@@ -1,4 +1,4 @@
-"""What ``lineside check`` finds of this machine and of the files of a site. Every trial is undone.
+"""The findings of ``lineside check`` on this machine and the files of a site. Every trial is undone.
 
 A check is a function of the settings that yields its findings; `OF_MACHINE` has all of them in order.
 """
@@ -57,27 +57,27 @@ from bus.tls import (
 
 WITHIN_S = 10.0
 MAX_EXAMINED_S = 10.0
-"""Time for one store; the rest is taken for sound if everything examined by then is."""
+"""The time for one store; its unexamined part counts as sound if the rest is."""
 STEPS = 100_000
-"""Steps of SQLite between two looks at the clock."""
+"""The steps of SQLite between two looks at the clock."""
 MB = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the report. A fault keeps Lineside from working as configured; the rest informs."""
+    """A line of the report. A fault keeps Lineside from working as configured; other lines inform."""
 
     message: Message
     is_fault: bool = False
 
 
 def info(code: str, /, **params: ParamValue) -> Finding:
-    """Make a finding that informs, by the code of its message."""
+    """Return a finding that informs, by the code of its message."""
     return Finding(Message(code, params))
 
 
 def fault(code: str, /, **params: ParamValue) -> Finding:
-    """Make a fault, by the code of its message."""
+    """Return a fault, by the code of its message."""
     return Finding(Message(code, params), is_fault=True)
 
 
@@ -88,7 +88,7 @@ Check = Callable[[Settings], Iterator[Finding]]
 
 
 def user() -> Message:
-    """Return the user whose rights hold now: root's environment still names root once it acts as another."""
+    """Return the user whose rights hold now: the environment of a changed user still names root."""
     try:
         return Message.of("machine_user", user=pwd.getpwuid(os.geteuid()).pw_name)
     except KeyError:
@@ -96,7 +96,7 @@ def user() -> Message:
 
 
 def is_visible(path: Path) -> bool:
-    """Return whether a path exists in a folder that this user may look into."""
+    """Return whether a path exists in a folder in which this user may look."""
     try:
         return path.exists()
     except OSError:
@@ -104,8 +104,8 @@ def is_visible(path: Path) -> bool:
 
 
 def may_make_files_in(folder: Path) -> bool:
-    """Return whether this user can make a file in a folder. It is tried, since root may write to ``/proc``
-    and still cannot; the file is gone at once."""
+    """Return whether this user can make a file in a folder. It is tried and removed at once: root's rights
+    allow writing to ``/proc``, which fails."""
     if not os.access(folder, os.W_OK | os.X_OK):
         return False
     try:
@@ -131,7 +131,7 @@ def former_settings(settings: Settings) -> Iterator[Finding]:
 
 
 def address(settings: Settings) -> Iterator[Finding]:
-    """Try to listen at the dashboard's address. One in use is no fault: Lineside may be running."""
+    """Try to listen at the dashboard's address. A used address is no fault: Lineside may be running."""
     server = settings.server
     place: dict[str, ParamValue] = {"host": server.host, "port": server.port}
     try:
@@ -145,7 +145,7 @@ def address(settings: Settings) -> Iterator[Finding]:
 
 
 def data(settings: Settings) -> Iterator[Finding]:
-    """Try whether the stores can be in the folder of the data."""
+    """Try whether the folder of the data can have the stores."""
     folder = settings.server.data
     existing = existing_part(folder)
     longest = os.pathconf(existing, "PC_NAME_MAX")
@@ -162,7 +162,7 @@ def data(settings: Settings) -> Iterator[Finding]:
 
 
 def disk(settings: Settings) -> Iterator[Finding]:
-    """Judge the free space: writing a byte succeeds when history has stopped already."""
+    """Check the free space: history stops long before a write of one byte fails."""
     folder = existing_part(settings.server.data)
     free, reserve = shutil.disk_usage(folder).free, DiskReserve()
     match space(free, reserve):
@@ -174,8 +174,8 @@ def disk(settings: Settings) -> Iterator[Finding]:
 
 
 def service(_: Settings, unit_file: Path = UNIT_FILE) -> Iterator[Finding]:
-    """Name each line of the installed unit file that systemd complains of, which may have been edited:
-    systemd mostly ignores such a line when it starts the service."""
+    """Report each line of the installed unit file, which may have been edited, of which systemd complains: at
+    a start systemd mostly ignores such a line."""
     program = shutil.which("systemd-analyze")
     if program is None or not unit_file.is_file():
         return
@@ -196,7 +196,7 @@ def service(_: Settings, unit_file: Path = UNIT_FILE) -> Iterator[Finding]:
 
 
 def buses(settings: Settings) -> Iterator[Finding]:
-    """Look at the port and the units of each bus."""
+    """Check the port and the units of each bus."""
     if not settings.bus and not settings.peer:
         yield fault("check_no_bus")
     for bus in settings.bus:
@@ -217,7 +217,7 @@ def _bus(bus: BusSettings) -> Iterator[Finding]:
 
 
 def bus_refusal(bus: BusSettings) -> Message | None:
-    """Return why the port of a bus cannot be used, as far as that shows without opening it."""
+    """Return why a bus's port cannot be used, as far as that shows without opening it."""
     return _url_fault(bus) if "://" in bus.port else _device_fault(bus)
 
 
@@ -239,7 +239,7 @@ def _device_fault(bus: BusSettings) -> Message | None:
 
 
 def _is_other_device(device: int) -> bool:
-    """Return whether Linux knows a device as something else than a terminal; it knows no pseudo-terminals."""
+    """Return whether Linux lists a device as other than a terminal; pseudo-terminals are not listed."""
     subsystem = Path(f"/sys/dev/char/{os.major(device)}:{os.minor(device)}/subsystem")
     return subsystem.exists() and subsystem.resolve().name != "tty"
 
@@ -274,7 +274,7 @@ def encryption(settings: Settings) -> Iterator[Finding]:
 
 
 CertificateFile = tuple[str, Certificate | None]
-"""A file of certificates, and the certificate whose dates decide; None if it cannot be read."""
+"""A file of certificates, and the certificate whose dates count; None if it cannot be read."""
 
 
 def certificate_files(settings: Settings) -> list[CertificateFile]:
@@ -288,8 +288,8 @@ def certificate_files(settings: Settings) -> list[CertificateFile]:
 
 
 def _read_certificates(path: Path, which: Callable[..., Certificate]) -> CertificateFile:
-    """Read a file. ``which``: a server's certificates end with the first of them, authorities with the
-    last."""
+    """Read a file of certificates. ``which``: min for a server, which ends with the first of its
+    certificates; max for authorities."""
     try:
         return str(path), which(certificates_in(path.read_text()), key=lambda each: each.ends_at)
     except (OSError, UnicodeDecodeError, MalformedCertificateError):
@@ -297,7 +297,7 @@ def _read_certificates(path: Path, which: Callable[..., Certificate]) -> Certifi
 
 
 def certificates(settings: Settings) -> Iterator[Finding]:
-    """Say how long each certificate is valid; faults of the server's own are found by `encryption`."""
+    """Report how long each certificate is valid; `encryption` finds faults of the server's own."""
     now, tls = unix_now(), settings.server.tls
     for file, certificate in certificate_files(settings):
         if certificate is None:
@@ -323,7 +323,7 @@ def _unreadable(file: str) -> Message:
 
 
 def key(settings: Settings) -> Iterator[Finding]:
-    """Try whether the key of the audit log can be read, or made at the first start."""
+    """Try whether the key of the audit log can be read, or created at the first start."""
     paths, store = settings.key_files, settings.server.store
     if (found := find_key_file(paths)) is not None:
         try:
@@ -344,7 +344,7 @@ def key(settings: Settings) -> Iterator[Finding]:
 
 
 def anchor(settings: Settings) -> Iterator[Finding]:
-    """Try whether the anchor can be written. At the default place it is no fault if not: the start reports
+    """Try whether the anchor can be written. At the default place a failure is no fault: the start reports
     it."""
     path, is_configured = anchor_file(settings.audit, settings.key_files), settings.audit.anchor is not None
     exists = is_visible(path)
@@ -366,7 +366,7 @@ def archive(settings: Settings) -> Iterator[Finding]:
 
 
 def _folder_fault(folder: Path, missing: str, not_writable: str) -> Message | None:
-    """Return what keeps this user from writing into a folder; the codes are those of its messages."""
+    """Return why this user cannot write in a folder; ``missing``, ``not_writable``: message codes."""
     if not folder.is_dir():
         return Message.of(missing, folder=str(folder))
     if _is_read_only(folder):
@@ -418,7 +418,7 @@ def _store_refused(error: StoreError | OSError) -> Finding:
 
 
 def backup(settings: Settings) -> Iterator[Finding]:
-    """Look at the folder of the backups, its disk, and their key."""
+    """Check the folder of the backups, its disk, and their key."""
     wanted = settings.backup
     if wanted.key_file is not None:
         try:
@@ -437,7 +437,7 @@ def backup(settings: Settings) -> Iterator[Finding]:
 
 
 def backup_folder_fault(settings: Settings) -> Message | None:
-    """Return what keeps a backup from being written into the folder of ``[backup]``."""
+    """Return why no backup can be written into the folder of ``[backup]``, if so."""
     folder = settings.backup.folder
     if folder is None:
         return None

@@ -1,4 +1,4 @@
-"""The dashboard and its bus workers from the first moment to the last."""
+"""The run of the dashboard and its bus workers, from start to end."""
 
 from __future__ import annotations
 
@@ -44,32 +44,32 @@ from bus.pacing import ReconnectDelay
 from bus.worker.process import configure_log, tied_environment
 
 SWITCH_S = 0.001
-"""How long a thread that computes (a parameter set, a search, an export) keeps the interpreter from the event
-loop, each time that the loop has polled its sockets."""
+"""The time for which a computing thread (a parameter set, a search, an export) keeps the interpreter from the
+event loop, each time that the loop has polled its sockets."""
 M_ARENA_MAX = -8
-"""The parameter of glibc's mallopt (malloc.h) for the number of its heaps."""
+"""The parameter of glibc's mallopt (malloc.h) for the number of heaps."""
 DATA_IN_USE = "data_in_use"
 _ENDINGS = (signal.SIGTERM, signal.SIGINT)
 log = structlog.get_logger()
 MAX_PAUSE_S = 5.0
 MAX_UNWATCHED_S = 2 * MAX_PAUSE_S
 GRACE_S = 2.3
-"""A worker finishes or withdraws the change in flight and leaves within 2 s of SIGTERM."""
+"""A worker finishes or withdraws the change in flight and ends within 2 s of SIGTERM."""
 LOOK_S = 1.0
 MAX_MISSED = 10
-"""Looks without a response. They begin 5 s after the last message, when the feed gives a worker up, and
-opening a port takes far less."""
+"""The looks without a response after which a worker is given up. They begin 5 s after the last message, when
+the feed gives a worker up; opening a port takes far less."""
 MAX_MISSED_AT_START = 120
-"""Before the first response: on a small machine many workers import their code at the same time."""
+"""The same before the first response: on a small machine many workers import code at once."""
 
 
 class HostingError(LinesideError):
-    """The dashboard could not begin to serve."""
+    """Raised if the dashboard could not begin to serve."""
 
 
 @contextmanager
 def only_one(data: Path) -> Iterator[None]:
-    """Lock the data folder: two servers on one folder would write the same store. Raises HostingError."""
+    """Lock the data folder: two servers on one folder would write the same store. Raise HostingError."""
     try:
         make_folder(data)
         lock = os.open(data / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
@@ -94,8 +94,8 @@ def host(
     *,
     demo: bool = False,
 ) -> bool:
-    """Serve at ``listening`` until SIGTERM or SIGINT; return whether a person requested a restart, which also
-    ends it. ``since``: when the first client can have connected. Raises HostingError and StoreError."""
+    """Serve at ``listening`` until SIGTERM, SIGINT or a restart; return whether a person requested a restart.
+    ``since``: the time from which a client can have connected. Raise HostingError or StoreError."""
     rights = os.geteuid()
     become_owner_of(settings.server.data)
     can_restart = os.geteuid() == rights and settings.server.port != 0 and not demo
@@ -103,7 +103,7 @@ def host(
     structlog.get_logger().info("lineside", version=VERSION)
     sys.setswitchinterval(SWITCH_S)
     _share_one_heap()
-    # Its own workers never depend on a certificate: it may expire while they run.
+    # The server's workers never depend on a certificate: it may expire while they run.
     is_encrypted = settings.server.tls is not None
     own = listen("127.0.0.1", 0, Message("choose_port")) if is_encrypted else nullcontext(None)
     with only_one(settings.server.data), own as feed:
@@ -112,9 +112,9 @@ def host(
 
 
 def _share_one_heap() -> None:
-    """Let all threads allocate from one heap: glibc gives each its own, which keeps what is freed in it,
-    2 MiB in all. Python's threads take turns anyway."""
-    with suppress(AttributeError):  # only glibc has it
+    """Let all threads allocate from one heap: glibc gives each thread a heap, which keeps freed memory, 2 MiB
+    in all. Python's threads take turns anyway."""
+    with suppress(AttributeError):  # only glibc has mallopt
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
 
 
@@ -130,12 +130,12 @@ async def _host(
     restarts: bool,
 ) -> bool:
     """Run the workers and the dashboard: the workers begin while the dashboard's code is still being
-    imported, and end before it does. ``feed``: the port of the workers, None if that of browsers is theirs
-    too; ``restarts``: whether a person may restart the server. Return whether one has."""
+    imported, and end before the dashboard. ``feed``: the port of the workers, None if they use that of
+    browsers; ``restarts``: whether a person may restart the server. Return whether one has."""
     address, port = listening.getsockname()[:2]
     url = url_of(address, port, "http" if feed is None else "https")
     feed_url = url_of(*(feed or listening).getsockname()[:2])
-    # Not by app.people.auth: it imports FastAPI, and the workers start before that takes its time.
+    # This is not in app.people.auth: that imports FastAPI, and the workers start before its import.
     tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus if bus.worker == "server"}
     workers = WorkerProcesses(config, tokens, feed_url)
     stopping, restart = _stop_requested(), asyncio.Event()
@@ -171,7 +171,7 @@ async def _host(
 
 
 def _report_serving(url: str, manager: ServiceManager, code: str) -> None:
-    """Report that the dashboard serves. ``code``: for the first admin; empty if there is a user."""
+    """Report that the dashboard serves. ``code``: for the first admin; empty if a user exists."""
     manager.ready(f"serving at {url}")
     report(Message.of("dashboard_at", url=url))
     if code:
@@ -187,11 +187,11 @@ async def _server_module(stopping: asyncio.Task[Any]) -> Any:
 
 
 def _import_server() -> Any:
-    # FastAPI describes OpenAPI by 82 models, 1.2 MiB: they are built for who reads the description.
+    # FastAPI describes OpenAPI by 82 models, 1.2 MiB: they are built when a user reads the description.
     BaseModel.model_config["defer_build"] = True
-    # FastAPI silences it where it makes a model, which is now built later.
+    # FastAPI silences this warning where it makes a model, which is now built later.
     warnings.filterwarnings("ignore", category=UnsupportedFieldAttributeWarning)
-    # First, so that what is imported fills the memory of what Babel reads and `locale_of` leaves out.
+    # Import this first: later imports then reuse the memory of what `locale_of` drops of Babel's data.
     for path in catalogs().values():
         locale_of(path.stem)
     return import_module("app.cli.server")
@@ -206,8 +206,8 @@ def _stop_requested() -> asyncio.Task[Any]:
 
 
 class WorkerProcesses:
-    """The bus workers as child processes, each connected by the same WebSocket as a worker far away.
-    ``tokens``: by bus, the token with which its worker opens the feed."""
+    """The bus workers as child processes, each connected by the same WebSocket as a remote worker.
+    ``tokens``: the token with which the worker of a bus opens the feed, by bus."""
 
     def __init__(self, config: Path, tokens: Mapping[str, str], app_url: str) -> None:
         self._config = config
@@ -220,24 +220,24 @@ class WorkerProcesses:
         self._looked_at: dict[str, Monotonic] = {}
 
     def start_all(self) -> None:
-        """Start all workers; each that ends is started again."""
+        """Start all workers; a worker that ends is started again."""
         for bus in self._tokens:
             task = asyncio.create_task(self._keep(bus), name=f"keep worker of {bus}")
             task.add_done_callback(_log_failure)
             self._tasks[bus] = task
 
     def watch(self, responds: Callable[[str], bool]) -> None:
-        """Kill each worker that does not respond from now on; another is started. ``responds``: whether the
-        worker of a bus has responded since the last call."""
+        """Kill each worker that does not respond from now on; another is started. ``responds``: whether a
+        bus's worker has responded since the last call."""
         self._responds = responds
 
     def are_kept(self) -> bool:
-        """Return whether every worker was looked at lately, or is about to be started again."""
+        """Return whether every worker was checked lately, or is about to be started again."""
         now = monotonic_now()
         return all(now - self._looked_at.get(bus, now) < MAX_UNWATCHED_S for bus in self._tasks)
 
     async def stop_all(self) -> None:
-        """End all workers: by SIGTERM, and by SIGKILL after the grace."""
+        """End all workers: by SIGTERM, and by SIGKILL after the grace period."""
         await asyncio.gather(*map(self._stop, tuple(self._tasks)))
 
     async def _stop(self, bus: str) -> None:
@@ -262,12 +262,12 @@ class WorkerProcesses:
     async def _run(self, bus: str) -> int:
         """Start a worker, watch it and wait for its end; return its exit code."""
         called = ["-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url]
-        # In its own process group: Ctrl-C reaches it through the parent.
+        # It has its own process group: Ctrl-C reaches it through the parent.
         process = await asyncio.create_subprocess_exec(
             sys.executable, *called, "--child", stdin=PIPE, env=self._environment, preexec_fn=os.setpgrp
         )
         self._processes[bus] = process
-        # Unlike arguments and environment, no listing of processes shows what passes through a pipe.
+        # Unlike arguments and environment, data in a pipe shows in no listing of processes.
         assert process.stdin is not None
         process.stdin.write(f"{self._tokens[bus]}\n".encode())
         process.stdin.close()
@@ -279,7 +279,7 @@ class WorkerProcesses:
                     return await process.wait()
             if self._responds is not None and watchdog.expires(responds=self._responds(bus)):
                 log.error("bus worker does not respond, killed", bus=bus, after_looks=watchdog.missed)
-                # A stopped process acts on no other signal. Its end frees the port.
+                # A stopped process reacts to no other signal. Its end frees the port.
                 process.kill()
 
 
@@ -289,7 +289,7 @@ def _log_failure(task: asyncio.Task[None]) -> None:
 
 
 async def end(process: Process, grace_s: float) -> None:
-    """End a process by SIGTERM, and by SIGKILL after the grace."""
+    """End a process by SIGTERM, and by SIGKILL after the grace period."""
     if process.returncode is not None:
         return
     with suppress(ProcessLookupError):
@@ -309,7 +309,7 @@ async def end(process: Process, grace_s: float) -> None:
 @dataclass(slots=True)
 class Watchdog:
     """A watchdog that decides when a process that does not respond is given up. It counts looks, not seconds,
-    so that a stall of the one who looks does not count as a stall of the process. Pure."""
+    so that a stall of the observer does not count as a stall of the process. Pure."""
 
     missed: int = 0
     limit: int = MAX_MISSED_AT_START
@@ -318,7 +318,7 @@ class Watchdog:
     def expires(self, *, responds: bool) -> bool:
         """Look once; return whether the process has been without a response for too long."""
         if not self.has_looked:
-            # What responded may have been the process before.
+            # The response may have come from the process before.
             self.has_looked = True
         elif responds:
             self.missed, self.limit = 0, MAX_MISSED

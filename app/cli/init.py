@@ -1,4 +1,4 @@
-"""``lineside init``: a configuration to start from, for which a terminal prompts."""
+"""The command ``lineside init``: a first configuration, for which it prompts at a terminal."""
 
 from __future__ import annotations
 
@@ -40,12 +40,11 @@ ALLOWED_S = 0.05
 @click.command
 @config_option
 def init(config: Path) -> None:
-    """Write a commented lineside.toml to start from, or complete the one that the service was installed
-    with. A file with a bus of its own is never changed.
+    """Write a commented lineside.toml to start from, or complete that of the installed service. A file with a
+    bus of its own is never changed.
 
     At a terminal it prompts for the name of the machine, the port, whether to scan it, the names of the
-    units, and the first admin. The installed service is stopped for the scan and starts with what was
-    written.
+    units, and the first admin. The installed service is stopped for the scan and starts with the new file.
     """
     present = _present_text(config)
     text = without_bus(config) if present is None else present
@@ -66,8 +65,8 @@ def is_interactive() -> bool:
 
 
 def _present_text(config: Path) -> str | None:
-    """Return the text of a file that has no bus yet, or None if there is no file. Raises LinesideError for
-    any other file, which is kept."""
+    """Return the text of a file that has no bus yet, or None if there is no file. Raise LinesideError for any
+    other file, which is kept."""
     try:
         text = read(config)
     except ConfigurationError as error:
@@ -80,7 +79,7 @@ def _present_text(config: Path) -> str | None:
 
 
 def write(config: Path, present: str | None, text: str) -> None:
-    """Write a new file, or replace one that is still as it was read. Raises LinesideError."""
+    """Write a new file, or replace one that has not changed since it was read. Raise LinesideError."""
     try:
         if present is not None:
             replace_file(config, present, text)
@@ -102,7 +101,7 @@ def _exists(config: Path) -> LinesideError:
 @contextmanager
 def _service_stopped(config: Path) -> Iterator[None]:
     """Stop the installed service of this configuration, which may have the port open, and start it again in
-    any case. Raises LinesideError unless root calls."""
+    any case. Raise LinesideError unless root calls."""
     is_installed = UNIT_FILE.exists() or PACKAGED_UNIT.exists()
     if not (is_installed and config.absolute() == CONFIGURATION and install_service.BOOTED.is_dir()):
         yield
@@ -118,8 +117,8 @@ def _service_stopped(config: Path) -> Iterator[None]:
 
 
 def _prompted_text(config: Path, text: str) -> str:
-    """Return the configuration with what a person types and a scan finds. Raises ConfigurationError for what
-    cannot be, such as too long a name."""
+    """Return the configuration with the texts that a person types and the result of a scan. Raise
+    ConfigurationError for a wrong value, such as too long a name."""
     site = click.prompt("Name of the machine", default="My line")
     for adapter in adapters():
         click.echo(f"  adapter: {adapter}")
@@ -137,9 +136,9 @@ def _prompted_text(config: Path, text: str) -> str:
 
 
 def _scanned(port: str) -> str:
-    """Scan a port; return the bus with the units that respond, or an empty text if there is none, which is
-    reported."""
-    # The scanner is the bus worker's: a file without a scan does not need it.
+    """Scan a port; return the bus with the units that respond; if none does, report that and return an empty
+    text."""
+    # The bus worker owns the scanner: a file without a scan does not need it.
     from app.cli.wire import allowed_ms, bauds_to_try, bus_table, scan_bauds, units_of
     from bus.line.scanner import BaudScan
 
@@ -157,7 +156,7 @@ def _scanned(port: str) -> str:
 
 
 def _prompt_for_admin(config: Path) -> None:
-    """Prompt for the first user, who can add the others; without a name the browser prompts for one."""
+    """Prompt for the first user, who can add others; without a name, the browser prompts for one."""
     from app.cli.accounts import prompted_password, store_user
     from app.core.web.access import Role
 

@@ -1,5 +1,5 @@
-"""``lineside install-service``: the server as a service of systemd, with its user, its folders and its files,
-among them a first lineside.toml. The package and the documentation use the same files."""
+"""The command ``lineside install-service``: the server as a systemd service, with its user, folders and
+files, including a first lineside.toml. The package and the documentation use the same files."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ DATA = Path("/var/lib/lineside")
 INSTALLED = Path("/opt/lineside/bin/lineside")
 UNIT_FILE = Path("/etc/systemd/system/lineside.service")
 PACKAGED_UNIT = Path("/usr/lib/systemd/system/lineside.service")
-"""Of the Debian package; one in ``/etc`` goes before it."""
+"""The unit file of the Debian package; a file in ``/etc`` precedes it."""
 DRIVERS = ("usbserial", "cdc_acm")
-"""Of serial adapters. A device that DeviceAllow names must have its driver when the service starts."""
+"""The drivers of serial adapters, needed before the start for a device that DeviceAllow names."""
 _PORTS = "SupplementaryGroups=dialout\n"
 _PLAIN = re.compile(r"[\w@:./+=,-]+", re.ASCII)
-"""A word that systemd takes as it is written (systemd.syntax(7))."""
+"""A word that systemd reads as written (systemd.syntax(7))."""
 _TEMPLATE = """\
 [Unit]
 Description=Lineside dashboard and bus workers
@@ -99,14 +99,14 @@ WantedBy=multi-user.target
 USUAL_PORT = "/dev/ttyUSB0"
 STARTER = Path(__file__).with_name("starter.toml")
 BUS = "# One [[bus]] for each RS-422 cable.\n"
-"""Of the starter: what follows is the bus."""
+"""The line of the starter after which the bus follows."""
 NO_BUS = f"{BUS}# Not set yet: sudo lineside init, or the page Configuration.\n"
 
 
 @dataclass(frozen=True, slots=True)
 class ServiceUnit:
-    """The unit of the server. ``command``: the program ``lineside``; ``written``: folders, beside those of
-    the configuration and the data, that it may write in; ``has_ports``: whether a bus is on a serial port of
+    """The unit of the server. ``command``: the program ``lineside``; ``written``: folders in which it may
+    write besides those of the configuration and the data; ``has_ports``: whether a bus is on a serial port of
     this machine."""
 
     command: Path = INSTALLED
@@ -117,13 +117,13 @@ class ServiceUnit:
 
     @property
     def text(self) -> str:
-        """Return the unit file. Raises LinesideError for a path that cannot be in it."""
-        # With a hyphen: a disk that is not mounted does not keep the service from its start.
+        """The text of the unit file. Raises LinesideError for a path that it cannot contain."""
+        # The hyphen lets the service start even if a disk is not mounted.
         written = (f"-{folder}" for folder in self.written)
         return _TEMPLATE.format(
             drivers=" ".join(DRIVERS),
             command=quoted(str(self.command)),
-            # A dollar begins a variable in arguments, and not in the program (systemd.service(5)).
+            # A dollar begins a variable in arguments, but not in the program (systemd.service(5)).
             configuration=quoted(str(self.configuration).replace("$", "$$")),
             user=self.user,
             groups=_PORTS if self.has_ports else "",
@@ -134,8 +134,8 @@ class ServiceUnit:
 
 def quoted(word: str) -> str:
     """Return a word as systemd reads it in a unit file, where a percent sign begins a specifier and a space
-    ends a word. Raises LinesideError for a word with a line break or the like, which a unit file cannot
-    hold."""
+    ends a word. Raise LinesideError for a word with a line break or the like, which unit files do not
+    allow."""
     if not word.isprintable():
         raise LinesideError(Message.of("service_path_unprintable", path=repr(word)))
     if _PLAIN.fullmatch(word):
@@ -158,8 +158,8 @@ def starter(config: Path, port: str) -> str:
 
 
 def first_configuration(path: Path) -> str:
-    """Return the configuration that a service begins with at ``path``: it serves, and has no bus yet."""
-    # Below the folder that the service may write in: the anchor of the audit log is beside the data.
+    """Return the first configuration of a service at ``path``: it serves, and has no bus yet."""
+    # The data is below the folder that the service may write: the audit log's anchor is beside it.
     text = without_bus(path)
     return re.sub(r'^data = ".*"', f"data = {toml_of(str(DATA / 'data'))}", text, flags=re.M)
 
@@ -176,20 +176,20 @@ def example_bus(config: Path, port: str) -> str:
 
 def has_own_bus(text: str) -> bool:
     """Return whether a text has a bus that a person set up, or is no TOML: such a file is kept as it is. The
-    example of the starter does not count, at whatever port."""
+    example of the starter does not count, whatever its port."""
     data = content_of(text)
     return data is None or bool(_buses(data) and _shape(data) != _shape(tomllib.loads(starter(Path(), ""))))
 
 
 def with_bus(text: str, table: str) -> str:
-    """Add ``table`` in place of the starter's example, if there is one."""
+    """Add ``table``, replacing the starter's example, if it is there."""
     if _buses(tomllib.loads(text)):
         text = without(text, ("bus", 0))
     return f"{text.rstrip()}\n\n{table}"
 
 
 def with_names(text: str, site: str, names: dict[int, str]) -> str:
-    """Set the name of the site and, by address, those of the units of the only bus."""
+    """Set the name of the site, and the names of the units of the only bus, by address."""
     text = with_values(text, ("site",), {"name": site})
     for index, unit in enumerate(tomllib.loads(text)["bus"][0]["unit"]):
         if unit["id"] in names:
@@ -207,7 +207,7 @@ def _shape(data: Any) -> Any:
 
 
 BOOTED = Path("/run/systemd/system")
-"""There where systemd runs (sd_booted(3))."""
+"""The folder that exists where systemd runs (sd_booted(3))."""
 Runner = Callable[[Sequence[str]], None]
 
 
@@ -220,7 +220,7 @@ Runner = Callable[[Sequence[str]], None]
 @click.option("--remove", is_flag=True, help="Stop and remove the service; configuration and data stay.")
 @click.option("--json", "json_output", is_flag=True, help="Print the unit file and the steps as JSON.")
 def install_service(config: Path, user: str, dry_run: bool, remove: bool, json_output: bool) -> None:
-    """Install Lineside as a service of systemd, and start it; again, to bring it up to date."""
+    """Install Lineside as a service of systemd and start it; repeat this to bring it up to date."""
     if not re.fullmatch(r"[a-z_][a-z0-9_-]{0,30}", user):
         raise wrong_option("--user", "user_not_of_unix", value=user)
     unit = unit_of(
@@ -240,8 +240,8 @@ def install_service(config: Path, user: str, dry_run: bool, remove: bool, json_o
 
 
 def configured(config: Path) -> Settings | None:
-    """Return the configuration, or None if it is yet to be written. Raises ConfigurationError: a service with
-    a wrong one would not start."""
+    """Return the configuration, or None if it does not exist yet. Raise ConfigurationError: a service with a
+    wrong configuration would not start."""
     try:
         return load(config)
     except ConfigurationError as error:
@@ -260,7 +260,7 @@ def unit_of(command: Path, config: Path, user: str, settings: Settings | None) -
 
 
 def _folders_written(settings: Settings, config: Path) -> tuple[Path, ...]:
-    """Return the folders, beside its own, in which a service of this configuration writes: backups, the
+    """Return the folders, besides its own, in which a service of this configuration writes: backups, the
     archive of events, the anchor of the audit log and its key, and the data if they are elsewhere."""
     key, anchor = settings.audit.key_file, settings.audit.anchor
     archives = (settings.backup.folder, settings.audit.archive)
@@ -271,8 +271,8 @@ def _folders_written(settings: Settings, config: Path) -> tuple[Path, ...]:
 
 
 def installation(unit: ServiceUnit, user_is_there: bool) -> Iterator[list[str]]:
-    """Return the commands that install a service, in order. Configuration and unit file are written after
-    those that make the folders."""
+    """Return the commands that install a service, in order. Configuration and unit file are written after the
+    folders exist."""
     if not user_is_there:
         shell = ("--shell", "/usr/sbin/nologin")
         yield ["useradd", "--system", "--home-dir", str(DATA), *shell, unit.user]
@@ -313,7 +313,7 @@ def _keep_edited(unit_file: Path, text: str) -> None:
 
 
 def write_configuration(unit: ServiceUnit) -> None:
-    """Write a first configuration with the folder of the data, unless there is one."""
+    """Write a first configuration with the folder of the data, unless one exists."""
     try:
         with unit.configuration.open("x", encoding="utf-8") as file:
             file.write(first_configuration(unit.configuration))
@@ -324,7 +324,7 @@ def write_configuration(unit: ServiceUnit) -> None:
 
 
 def user_exists(name: str) -> bool:
-    # Not imported with the commands that need no user.
+    # Imported only here: other commands need no user.
     import pwd
 
     try:
@@ -335,7 +335,7 @@ def user_exists(name: str) -> bool:
 
 
 def refuse_without_systemd() -> None:
-    """Raise LinesideError if there is no systemd, or the caller may not change it."""
+    """Raise LinesideError if systemd is missing, or the caller may not change it."""
     if not BOOTED.is_dir():
         raise LinesideError(Message("service_without_systemd"))
     if os.geteuid() != 0:
@@ -343,13 +343,13 @@ def refuse_without_systemd() -> None:
 
 
 def refuse_elsewhere(command: Path) -> None:
-    """Raise LinesideError for a program in a home folder, which the service cannot read (ProtectHome)."""
+    """Raise LinesideError for a program in a home folder, which services cannot read (ProtectHome)."""
     if command.is_relative_to("/home") or command.is_relative_to("/root"):
         raise LinesideError(Message.of("service_in_home", path=str(command)))
 
 
 def run(command: Sequence[str]) -> None:
-    """Run a command. Raises LinesideError with what it printed."""
+    """Run a command. Raise LinesideError with its output."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Command of the OPC UA process, ``python -m app.cli.opcua``, which a server starts. People have no use for
+"""The command of the OPC UA process, ``python -m app.cli.opcua``, which a server starts. People do not use
 it."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``lineside backup``, ``diff`` and ``restore``: the parameters of units as files, by a running dashboard."""
+"""The commands ``lineside backup``, ``diff`` and ``restore``: unit parameters as files, by a dashboard."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from bus.instants import unix_now
 from bus.messages import Message, ParamValue, in_english, listed, parameter_name
 
 MAX_AT_ONCE = 4
-"""Reads of several units take turns on the wire, which saves the fence between two reads of one."""
+"""The units that are read at once: taking turns saves the fence between two reads of one unit."""
 Pair = tuple[UnitRows, UnitRows]
 _ENDED = ("equal", "different", "stopped")
 _LOOK_AGAIN_S = 0.2
@@ -66,8 +66,7 @@ def backup(
 
 
 def _check_place(out: Path) -> None:
-    """Raise CallerError if no file can be made there, or something exists already: for root also
-    /dev/null."""
+    """Raise CallerError if no file can be made there, or a file exists already (for root also /dev/null)."""
     if not out.parent.is_dir():
         raise CallerError(Message.of("folder_missing", folder=str(out.parent), file=out.name))
     if os.path.lexists(out):
@@ -75,7 +74,7 @@ def _check_place(out: Path) -> None:
 
 
 def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, Message]]:
-    """Return the units that responded, and why the others did not; one offline unit does not prevent the
+    """Return the units that responded, and why the others did not; an offline unit does not prevent the
     backup."""
 
     def read(unit: int) -> UnitRows | Message:
@@ -156,7 +155,7 @@ def diff(
 
 
 def load(path: Path) -> ParameterSet:
-    """Read a parameter set from a file. Raises CallerError."""
+    """Read a parameter set from a file. Raise CallerError."""
     try:
         if path.stat().st_size > MAX_DOCUMENT:
             raise CallerError(Message.of("source_too_long", source=str(path)))
@@ -170,8 +169,8 @@ def load(path: Path) -> ParameterSet:
 
 
 def _rows_for(parameter_set: ParameterSet, unit: int, path: Path) -> UnitRows:
-    """Return the rows meant for a unit: its own, or those of the only unit in the file (a spare, a
-    sister)."""
+    """Return the rows meant for a unit: its own, or those of the only unit in the file (a spare or
+    similar)."""
     own = parameter_set.unit(unit)
     if own is not None:
         return own
@@ -192,8 +191,8 @@ def _with_live(
 
 
 def _two_files(files: Sequence[Path]) -> tuple[list[Pair], list[int]]:
-    """Return the units of both files, and the numbers of those that only one has. Two files of one unit each
-    are compared whatever their numbers: one may be a spare."""
+    """Return the units of both files, and the numbers of those in only one. Two files with one unit each are
+    compared whatever the numbers: one may be a spare."""
     left, right = load(files[0]), load(files[1])
     if len(left.units) == len(right.units) == 1:
         return [(left.units[0], right.units[0])], []
@@ -313,7 +312,7 @@ def _run(there: Dashboard, planned: Any, *, quiet: bool) -> Any:
 
 
 def _results(ended: Any) -> list[Any]:
-    """Return a result per row, also of those that differ and were left out."""
+    """Return a result for each row, also for rows that differ and were left out."""
     left_out = [
         {**left, "outcome": "left_out", "message": left["reason"]}
         for left in ended["left_out"]
@@ -330,7 +329,7 @@ def _plan_text(planned: Any) -> str:
 
 
 def _detail(message: Any) -> str:
-    """Return the English text of a message of the API, a hyphen for none."""
+    """Return the English text of a message of the API; a hyphen if there is none."""
     return str(message["detail"]) if message else "-"
 
 

@@ -1,4 +1,4 @@
-"""The past of a demo: what its simulated line did in the day before, written into its stores."""
+"""The past of a demo: a day of its simulated line, written into its stores."""
 
 from __future__ import annotations
 
@@ -49,28 +49,28 @@ from bus.simulator.unit import Unit
 
 DAY_S, HOUR_S = 86_400.0, 3600.0
 MAX_UNITS = 8
-"""How many units have readings: a longer line would take seconds to write."""
+"""The number of units with readings: a longer line would take seconds to write."""
 GAP_S = 5.0
-"""Between the last reading of the past and the first of the demo."""
+"""The seconds between the last reading of the past and the first of the demo."""
 
 
 _ESTOPPED, _AT_SPEED = 0x4001, 0xC003
 """ST2 * 256 + ST1: in REMOTE with run; at speed, or with the e-stop input active."""
 _UNREST = 2
-"""How far the speed departs from its setpoint, in display units."""
+"""The largest difference of the speed from its setpoint, in display units."""
 OPERATOR, ENGINEER = (Person(f"demo-{role.value}", role, "demo") for role in (Role.OPERATOR, Role.ENGINEER))
 GOLDEN_HOURS_AGO, DRIFTED = 20.0, 3
-"""The set is older than the change of the ramp of this unit, which was made at its keypad."""
+"""The set is older than a ramp change of this unit, made at its keypad."""
 DRIFT_TENTHS = 30
 NOTED_AFTER_S = 360.0
 MAX_GOLDEN = 16
-"""How many units have a golden set: each is read completely soon after the start."""
+"""The number of units with a golden set: each is read completely soon after the start."""
 _CHANGED_HOURS_AGO, _CHANGED = 13.3, "Simulated: changed from primer 90 to coating 120."
 _Record = tuple[UnixTime, Callable[[], Awaitable[None]]]
 
 
 class Phase(NamedTuple):
-    """The part of its setpoints at which the line ran, from so many hours ago on."""
+    """A part of the day in which the line ran at a ``share`` of its setpoints."""
 
     hours_ago: float
     share: float
@@ -82,8 +82,8 @@ PHASES = (Phase(24.0, 0.75), Phase(13.6, 0.0), Phase(13.2, 1.0))
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """An event that stopped a unit or its link, acknowledged after so many seconds, or not at all; ``note``:
-    what the operator wrote about it."""
+    """An event that stopped a unit or its link, acknowledged after so many seconds or never; ``note``: the
+    text of the operator."""
 
     code: Literal["estop_active", "unit_offline"]
     unit: int
@@ -123,11 +123,11 @@ _INCIDENTS: tuple[
     ("unit_offline", 2, 2.6, 48.0, 90.0, "Infeed nip did not respond for 48 seconds, cable to be looked at."),
     ("estop_active", 4, 0.7, 50.0, None, "Emergency stop at dryer 1 is still to be explained."),
 )
-"""Each is told once: the same unit and time are in the history, the alarms, the events and the note."""
+"""The incidents of a day. History, alarms, events and notes agree on each one's unit and time."""
 
 
 class Stretch(NamedTuple):
-    """A time in which nothing about a unit changed: the part of its setpoint at which it ran, and the
+    """A time in which nothing about a unit changed, with the share of its setpoint at which it ran, and the
     incident that stopped it."""
 
     begins: UnixTime
@@ -153,7 +153,7 @@ class Past:
         return self.now - hours * HOUR_S
 
     def stretches(self, unit: int) -> Iterator[Stretch]:
-        """Return the day of a unit, in order."""
+        """Yield the stretches of a unit's day, in order."""
         ends = self.now - GAP_S
         phases = [(self.hours_ago(phase.hours_ago), phase.share) for phase in PHASES]
         incidents = [each for each in self.incidents if each.unit == unit]
@@ -165,7 +165,7 @@ class Past:
 
 
 def past_of(line: DemoLine, now: UnixTime) -> Past:
-    """Return the past of a line; incidents of units that it does not have are left out."""
+    """Return the past of a line, without incidents of units that it does not have."""
     incidents = (
         Incident(code, unit, now - hours * HOUR_S, lasted, acknowledged, f"Simulated: {note}")
         for code, unit, hours, lasted, acknowledged, note in _INCIDENTS
@@ -175,13 +175,13 @@ def past_of(line: DemoLine, now: UnixTime) -> Past:
 
 
 def _setpoint_of(unit: Unit, share: float) -> int:
-    """Return the setpoint of a unit while the line runs at this part of it; the ratio of a follower stays."""
+    """Return a unit's setpoint while the line runs at this share; the ratio of a follower stays."""
     return unit.setpoint if unit.follows else round(unit.memory[numbers.SPEED_SETPOINT] * share)
 
 
 def write_past(settings: Settings, line: DemoLine) -> None:
     """Write a day of history, alarms, events, recipes, sets and notes before the dashboard opens its stores.
-    Raises StoreError."""
+    Raise StoreError."""
     past = past_of(line, unix_now())
     with closing(Database(settings.server.data / FILE, MIGRATIONS, "NORMAL")) as history:
         history.write_now(lambda connection: _write_readings(connection, settings.bus[0].name, past))
@@ -202,7 +202,7 @@ def _write_readings(connection: StoreConnection, bus: str, past: Past) -> None:
 
 
 def _links(stretches: list[Stretch]) -> list[tuple[int, str]]:
-    """Return when the unit came into which state."""
+    """Return the times at which the unit changed its link state, with the state."""
     states = [(micros(each.begins), "online" if _is_online(each) else "offline") for each in stretches]
     return [next(of) for _, of in groupby(states, key=lambda each: each[1])]
 
@@ -235,7 +235,7 @@ def _is_online(stretch: Stretch) -> bool:
 
 
 def _runs(unit: Unit, stretches: list[Stretch], noise: random.Random) -> Iterator[PlainRun]:
-    """Return one run a minute, and another when something changes."""
+    """Yield one run a minute, and another when a value changes."""
     for stretch in filter(_is_online, stretches):
         commanded = _setpoint_of(unit, stretch.share)
         at, ends = micros(stretch.begins), micros(stretch.ends)
@@ -291,7 +291,7 @@ class _Records:
             yield from self._changes(incident)
 
     def _changes(self, incident: Incident) -> Iterator[_Record]:
-        """Return the beginning and the end of an incident, and the acknowledgement of its alarm."""
+        """Yield the beginning and the end of an incident, and the acknowledgement of its alarm."""
         alarm = built_in(incident.code, self._bus, incident.unit)
         yield incident.began, partial(self._changed, incident, alarm, partial(observe, holds=True))
         yield incident.ended, partial(self._changed, incident, alarm, partial(observe, holds=False))
@@ -303,7 +303,7 @@ class _Records:
     async def _changed(
         self, incident: Incident, alarm: AlarmDefinition, change: Callable[..., Changed]
     ) -> None:
-        """Let the alarm change by the rules of real alarms, and record that with its event."""
+        """Change the alarm by the rules of real alarms, and record that with its event."""
         former = self._facts.get(alarm.key, AlarmFacts())
         facts, done = change(former, AlarmAttributes(), at=self._now)
         self._facts[alarm.key] = facts
@@ -364,8 +364,7 @@ class _Records:
             )
 
     def _parameters(self, address: int) -> dict[int, ParameterRow]:
-        """Return the parameters that the unit has now, but for the drift and without the operator
-        password."""
+        """Return the unit's present parameters, but without its drift and without the operator password."""
         memory = self._past.units[address - 1].memory
         raws = {number: None if row.secret else memory[number] for number, row in PARAMETERS.items()}
         if address == min(DRIFTED, len(self._past.units)):
@@ -373,7 +372,7 @@ class _Records:
         return {number: ParameterRow(number, raw, read_at=self._now) for number, raw in raws.items()}
 
     async def _note(self, unit: int | None, text: str, about: UnixTime) -> None:
-        """Write a note into the shift of what it is about."""
+        """Write a note into the shift of the time that it is about."""
         shift = shift_at(about, self._shifts, self._zone)
         note = Note(
             at=about,

@@ -1,4 +1,4 @@
-"""``lineside publish``: fill a past into the plant's database."""
+"""The command ``lineside publish``: past data for the plant's database."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from bus.messages import Message, number
 @click.option("--to", "until", default="", show_default=False, help="Up to when; without it, now.")
 @config_option
 def publish(since: str, until: str, config: Path) -> None:
-    """Fill a past into the plant's database of [postgresql]: readings, minutes, events and alarms. It may be
-    repeated, and the dashboard may run: what is there already is not written again."""
+    """Write past readings, minutes, events and alarms to the plant's database of [postgresql]. It may be
+    repeated while the dashboard runs: data that is there already is not written again."""
     settings = load(config)
     to = settings.postgresql
     if to is None:
@@ -59,7 +59,7 @@ def publish(since: str, until: str, config: Path) -> None:
 
 
 def _shown(progress: Iterator[tuple[int, int]], zone: ZoneInfo) -> Iterator[int]:
-    """Return the rows of each batch, and show a person at a terminal how far it is."""
+    """Yield the rows of each batch, and show the progress to a person at a terminal."""
     for until, count in progress:
         if sys.stderr.isatty():
             click.echo(f"\r{site_time(UnixTime(until / SECOND), zone)}", err=True, nl=False)

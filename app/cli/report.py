@@ -1,4 +1,4 @@
-"""``lineside report``: the report of a shift or a span from the stores, while the dashboard runs or not."""
+"""The command ``lineside report``: the report of a shift or span from the stores."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from bus.messages import Message, ParamValue, number
 from bus.settings import BusSettings
 
 MAX_LINES = 50
-"""Of a section of the printed report; all are in the JSON."""
+"""The most lines of a section of the printed report; the JSON has all."""
 
 
 @click.command
@@ -57,9 +57,9 @@ MAX_LINES = 50
 def report(
     shift: str, since: str, until: str, config: Path, as_json: bool, as_csv: bool, stops: bool
 ) -> None:
-    """Show the report of a shift, or of a span: run time, time at speed, stops with their causes, length
-    and draw of each unit, alarms, drift, changes and notes. It is read from the stores of this machine, also
-    from a copy of them."""
+    """Show the report of a shift, or of a span: run time, time at speed, stops with their causes, length and
+    draw of each unit, alarms, drift, changes and notes. It is read from the stores of this machine, also from
+    a copy of them."""
     settings, now = load(config), unix_now()
     with ExitStack() as opened:
         connection = opened.enter_context(reading_site(settings))
@@ -94,7 +94,7 @@ def _figures(
 
 
 def _shift_of(connection: StoreConnection, settings: Settings, named: str, now: UnixTime) -> Shift:
-    """Return the shift that was named. Raises CallerError if no shift starts then, or it has not begun."""
+    """Return the shift of a name. Raise CallerError if no shift starts then, or it has not begun."""
     starts, zone = settings.shift.minutes, ZoneInfo(settings.site.zone)
     present = shift_at(now, starts, zone)
     if named in ("now", "last"):
@@ -111,8 +111,8 @@ def _shift_of(connection: StoreConnection, settings: Settings, named: str, now: 
 
 
 def _span_of(settings: Settings, since: str, until: str, now: UnixTime) -> Shift:
-    """Return the span that was named. Raises CallerError if it ends before it begins, begins in the future,
-    or is too long."""
+    """Return the span of two times. Raise CallerError if it ends before it begins, begins in the future, or
+    is too long."""
     zone = ZoneInfo(settings.site.zone)
     end = _moment(until, zone) if until else now
     if not since or not UnixTime(0.0) < (start := _moment(since, zone)) < min(end, now):
@@ -151,7 +151,7 @@ def _lines(found: dict[str, Any], zone: ZoneInfo) -> Iterator[str]:
 
 
 def _section(code: str, lines: list[str]) -> Iterator[str]:
-    """Return the newest lines of a section, after a head with their number."""
+    """Yield the newest lines of a section, after a head with their number."""
     yield str(Message.of(code, n=len(lines)))
     yield from (f"  {line}" for line in lines[-MAX_LINES:])
 

@@ -1,6 +1,6 @@
-"""``lineside serve``, which takes the TCP port, then starts the dashboard and one bus worker for each
-``[[bus]]``; and ``lineside worker``, one bus worker alone on a machine near the port. Imports are few, so
-that a port in use is reported at once."""
+"""The command ``lineside serve``, which takes the TCP port, then starts the dashboard and one bus worker for
+each ``[[bus]]``; and ``lineside worker``: one bus worker on a machine near the port. Imports are few, so that
+a port in use is reported at once."""
 
 from __future__ import annotations
 
@@ -59,15 +59,15 @@ def serve(config: Path, new: bool) -> None:
             begin_new_site(settings)
         restarts = host(settings, config.resolve(), port, manager, since)
     if restarts:
-        # The same command in the same process, which a service manager goes on to watch. What the server had
-        # open is closed by now, and no descriptor is inherited. The site is no new one any more.
+        # Run the same command in the same process, which a service manager watches. The server's files are
+        # closed by now, and no descriptor is inherited. The site is not new any more.
         words = (word for word in sys.orig_argv[1:] if word != NEW)
         os.execv(sys.executable, [sys.executable, *words])
 
 
 @contextmanager
 def _configuration_refused(manager: ServiceManager) -> Iterator[None]:
-    """End a service whose configuration is wrong with an exit code after which systemd does not start it
+    """End a service with a wrong configuration with an exit code after which systemd does not start it
     again."""
     try:
         yield
@@ -105,7 +105,7 @@ def worker(
     certificate: Path | None,
     key: Path | None,
 ) -> None:
-    """Run one bus worker for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
+    """Run one bus worker for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnect indefinitely."""
     for url in app:
         if not url.startswith(("http://", "https://", "ws://", "wss://")):
             raise CallerError(Message.of("app_url_malformed", url=url))
@@ -120,8 +120,8 @@ def worker(
 def _tls(
     apps: Sequence[str], ca: Path | None, certificate: Path | None, key: Path | None
 ) -> UplinkTls | None:
-    """Return what secures the link. Raises CallerError for options that do not fit and files that cannot be
-    used."""
+    """Return the TLS settings of the link. Raise CallerError for options that do not fit together and files
+    that cannot be used."""
     if not any(url.startswith(("https://", "wss://")) for url in apps):
         if ca or certificate or key:
             raise CallerError(Message.of("app_url_in_clear", url=apps[0]))

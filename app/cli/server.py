@@ -1,4 +1,4 @@
-"""uvicorn with a gate in front of each connection, and the services of a site in its lifetime.
+"""The server: uvicorn with a gate in front of each connection, and the lifetime of a site's services.
 
 Imported by :mod:`app.cli.hosting` while the workers start: it imports FastAPI and every feature.
 """
@@ -34,19 +34,19 @@ from app.system.configuration.service import Restart
 from bus.instants import Monotonic
 
 GRACEFUL_S = 1
-"""Time that requests in flight get when the server ends."""
+"""The time that requests in flight get when the server ends."""
 ENOUGH_FILES, FILES_OF_OTHERS = 4096, 256
-"""Files that this process may have open: more than all connections and the stores need together; and those
-that are no connections."""
+"""The files that this process may have open, more than all connections and stores together need; and the
+files that are not connections."""
 FEED = "/feed"
 NOT_HERE = 1008
-"""Close code of a WebSocket that may not be opened (RFC 6455, 7.4.1)."""
+"""The close code for a WebSocket that may not be opened (RFC 6455, 7.4.1)."""
 TICK_S = 1.0
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024
 
 
 class Server(uvicorn.server.Server):
-    """uvicorn's server, which leaves the signals to its host and reports when it serves."""
+    """uvicorn's server, which leaves signals to its host and reports when it serves."""
 
     def __init__(
         self,
@@ -57,8 +57,8 @@ class Server(uvicorn.server.Server):
         since: Monotonic,
         feed: socket.socket | None = None,
     ) -> None:
-        """``serving``: called with the code for the first admin, empty if there is a user; ``since``: when
-        the first client can have connected; ``feed``: the port of its own workers, beside HTTPS."""
+        """Prepare the server. ``serving``: called with the code for the first admin (empty if a user exists);
+        ``since``: when the first client can have connected; ``feed``: the workers' port, beside HTTPS."""
         self._watch = LoopWatch(since)
         connections = Connections(settings.server.trusted_proxies, _raise_file_limit())
         app: ASGIApp = create_app(settings, demo=demo, worker_tokens=worker_tokens)
@@ -83,21 +83,21 @@ class Server(uvicorn.server.Server):
         self._each_second.append(act)
 
     def offer_restart(self) -> asyncio.Event:
-        """Let people restart the server; the event is set a moment after one has."""
+        """Let people restart the server; the returned event is set a moment after one has."""
         return self.services[Restart].offer()
 
     def end(self) -> None:
-        """Close all connections, then return from serving."""
+        """Close all connections, then end serving."""
         self.should_exit = True
         self.services[LineStream].end()
         self._gates.end()
 
     def capture_signals(self) -> Any:
-        """Leave the signals to the host: the workers must end before the server does."""
+        """Leave signals to the host: the workers must end before the server."""
         return nullcontext()
 
     async def serve(self, sockets: list[socket.socket] | None = None) -> None:
-        """Serve until :meth:`end`. Raises StartError if a service cannot start."""
+        """Serve until :meth:`end`. Raise StartError if a service cannot start."""
         listening = [*(sockets or ()), *self._feed]
         for each in listening:
             each.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)  # inherited
@@ -124,7 +124,7 @@ class Server(uvicorn.server.Server):
 
 
 def _config(app: ASGIApp, gates: Gates) -> Config:
-    """Return uvicorn's settings. WebSockets are not deflated: at ten messages a second that costs a quarter
+    """Return uvicorn's settings. WebSockets are not compressed: at ten messages a second that costs a quarter
     of a core."""
     return Config(
         app,
@@ -133,7 +133,7 @@ def _config(app: ASGIApp, gates: Gates) -> Config:
         ws="websockets-sansio",
         ws_per_message_deflate=False,
         ws_max_size=MAX_MESSAGE_BYTES,
-        # Pages and workers send by themselves, and are given up where they do not (app.line.live.hub,
+        # Pages and workers send by themselves, and are given up if they do not (app.line.live.hub,
         # app.line.feed.bus_feed). On a busy machine, late pings ended connections that worked.
         ws_ping_interval=None,
         access_log=False,
@@ -148,8 +148,8 @@ def _config(app: ASGIApp, gates: Gates) -> Config:
 
 
 class OnlyFeed:
-    """The app, of which only the feed is served at ``address``, where the server's own workers connect in
-    clear: a person signs in by HTTPS."""
+    """The app, limited to the feed at ``address``, where the server's own workers connect unencrypted: people
+    sign in by HTTPS."""
 
     def __init__(self, app: ASGIApp, address: tuple[str, int]) -> None:
         self._app = app
@@ -166,7 +166,7 @@ class OnlyFeed:
 
 
 def _raise_file_limit() -> int:
-    """Raise the limit of open files as far as the system allows and is of use; return how many may be
+    """Raise the limit of open files as far as the system allows and is useful; return how many may be
     sockets."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     allowed = ENOUGH_FILES if hard == resource.RLIM_INFINITY else min(ENOUGH_FILES, hard)

@@ -1,4 +1,4 @@
-"""The main store of a site and its event log for a command, whether the dashboard runs or not."""
+"""The main store and event log of a site for a command, whether the dashboard runs or not."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ def console() -> Person:
 
 
 def record(events: EventLog, kind: EventKind, what: Message, message: str | Message = "") -> None:
-    """Record an event about what the user of this machine has done."""
+    """Record an event about an act of the user of this machine."""
     by = console()
     who = by.name or by.address
     asyncio.run(events.record(kind=kind, what=what, who=who, origin=by.address, message=message))
 
 
 def open_log(database: Database, key_files: Sequence[Path]) -> EventLog:
-    """Open the event log of a store with its keys. Raises KeyFileError."""
+    """Return the event log of a store with its keys. Raise KeyFileError."""
     return EventLog(database, keys=open_keys(key_files, database.path, database.read_now(heads_of)))
 
 
 @contextmanager
 def site_log(settings: Settings) -> Iterator[tuple[Database, EventLog]]:
-    """Open the main store of a site and its event log. Raises StoreError, KeyFileError."""
+    """Open the main store of a site and its event log. Raise StoreError or KeyFileError."""
     become_owner_of(settings.server.data)
     check_store(settings)
     make_private(settings.server.data)
@@ -59,14 +59,14 @@ def site_log(settings: Settings) -> Iterator[tuple[Database, EventLog]]:
 
 
 def has_store(settings: Settings) -> bool:
-    """Return whether the site has a main store. Raises StoreError."""
+    """Return whether the site has a main store. Raise StoreError."""
     return presence_of(settings.server.store) != "missing"
 
 
 @contextmanager
 def reading_site(settings: Settings) -> Iterator[StoreConnection]:
-    """Read the main store as it is, also on a read-only disk: nothing is made or changed. Raises StoreError,
-    also for a store of another version."""
+    """Read the main store as it is, also on a read-only disk: nothing is created or changed. Raise
+    StoreError, also for a store of another version."""
     check_store(settings)
     if not has_store(settings):
         raise StoreError(Message.of("store_missing", path=str(settings.server.store)))
@@ -76,18 +76,18 @@ def reading_site(settings: Settings) -> Iterator[StoreConnection]:
 
 
 def open_history(settings: Settings, opened: ExitStack) -> StoreConnection | None:
-    """Open the history of a site until ``opened`` ends; return None if it has none."""
+    """Open the history of a site until ``opened`` ends; return None if the site has none."""
     file = settings.server.data / HISTORY
     return opened.enter_context(examining(file)) if file.exists() else None
 
 
 def begin_new_site(settings: Settings) -> None:
-    """Make a new store and a new key, with an entry in the new audit log; keep what is left of the former
-    site under other names. Raises StoreError, also if the former store can be used or the configured anchor
-    belongs to the former site."""
+    """Make a new store and a new key, with an entry in the new audit log; keep the rest of the former site
+    under other names. Raise StoreError, also if the former store can be used or the configured anchor belongs
+    to the former site."""
     check_store(settings, new=True)
     if settings.audit.anchor is not None and settings.audit.anchor.exists():
-        # It may be on a medium that is written once, and would contradict the new log at each start.
+        # The anchor may be on write-once media, and would contradict the new log at each start.
         raise StoreError(Message.of("anchor_of_former_site", path=str(settings.audit.anchor)))
     become_owner_of(settings.server.data)
     store, key = settings.server.store, find_key_file(settings.key_files)
@@ -96,7 +96,7 @@ def begin_new_site(settings: Settings) -> None:
         if presence == "damaged":
             put_aside(store)
         if key is not None:
-            # Two stores cannot share a key file: it states how far the log of its store was.
+            # Two stores cannot share a key file: it states the end of its store's log.
             stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
             key.rename(key.with_name(f"{key.name}.before-{stamp}"))
     with closing(Database(store)) as database:

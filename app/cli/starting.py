@@ -1,4 +1,4 @@
-"""What a start needs before it imports much: the TCP port, and a store that can be used."""
+"""The checks at a start before many imports: the TCP port, and a store that can be used."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from bus.errors import LinesideError
 from bus.messages import Message
 
 BACKLOG = 512
-"""Browsers of a plant reconnect at once after a restart."""
+"""The connections that may wait: all browsers of a plant reconnect at once after a restart."""
 NEXT_PORTS = 10
 
 
 class ListenError(LinesideError):
-    """The dashboard's port cannot be taken; the text gives the reason and what to do."""
+    """Raised if the dashboard's port cannot be taken; the text has the reason and the remedy."""
 
 
 class PortInUse(ListenError):
-    """Another program has the port."""
+    """Raised if another program has the port."""
 
 
 def listen_from(host: str, first: int, choose: Message) -> socket.socket:
-    """Take ``first`` of ``host``, or else the next port that is free. Raises ListenError."""
+    """Take ``first`` of ``host``, or else the next free port. Raise ListenError."""
     for port in range(first, first + NEXT_PORTS):
         with suppress(PortInUse):
             return listen(host, port, choose)
@@ -35,7 +35,7 @@ def listen_from(host: str, first: int, choose: Message) -> socket.socket:
 
 
 def listen(host: str, port: int, choose: Message) -> socket.socket:
-    """Take ``port`` of ``host``. ``choose``: how the caller chooses another port. Raises ListenError."""
+    """Take ``port`` of ``host``. ``choose``: how a person chooses another port. Raise ListenError."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     both = host == "::" and socket.has_dualstack_ipv6()
     try:
@@ -47,7 +47,7 @@ def listen(host: str, port: int, choose: Message) -> socket.socket:
 
 def _reason(host: str, port: int, choose: Message, error: Exception) -> Message:
     number = getattr(error, "errno", None)
-    if number is not None and number < 0:  # EAI_…: create_server passes on what getaddrinfo(3) returned
+    if number is not None and number < 0:  # EAI_…: create_server passes on the number from getaddrinfo(3)
         return Message.of("listen_no_host", host=host)
     match number:
         case errno.EADDRINUSE:
@@ -71,8 +71,8 @@ def url_of(host: str, port: int, scheme: str = "http") -> str:
 
 
 def check_store(settings: Settings, *, new: bool = False) -> None:
-    """Raise StoreError if the main store is missing, empty or damaged and no first start explains that; with
-    ``new`` if there is a sound one."""
+    """Raise StoreError if the main store is missing, empty or damaged and this is no first start; with
+    ``new``, if there is a sound store."""
     store = settings.server.store
     refusal = refusal_to_start(store, presence_of(store), find_key_file(settings.key_files), new=new)
     if refusal is not None:

@@ -1,6 +1,5 @@
-"""``lineside status``: a site on one screen, whether its dashboard runs or not: dashboard, buses, stores,
-disk, certificates, backups, plant's database and peers. Nothing is made or changed.
-"""
+"""The command ``lineside status``: a site on one screen, whether its dashboard runs or not: dashboard, buses,
+stores, disk, certificates, backups, plant's database and peers. Nothing is created or changed."""
 
 from __future__ import annotations
 
@@ -48,7 +47,7 @@ WITHIN_S = 5.0
 MB, GB = 1e6, 1e9
 HOUR_S = 3600.0
 NO_CHECK_TIME = 0x200000
-"""X509_V_FLAG_NO_CHECK_TIME (openssl/x509_vfy.h), which the module ssl has no name for."""
+"""X509_V_FLAG_NO_CHECK_TIME (openssl/x509_vfy.h), which the module ssl does not name."""
 
 
 @click.command
@@ -57,9 +56,9 @@ NO_CHECK_TIME = 0x200000
 @token_file_option
 @json_option
 def status(config: Path, token: str, token_file: Path | None, as_json: bool) -> None:
-    """Show whether the dashboard serves, the version, the stores with their sizes, for how long the disk is
-    enough, the ends of certificates, and the newest and the next backup; with a token of any role but worker
-    also the state of each bus and what is degraded of the server.
+    """Show whether the dashboard serves, the version, the stores with their sizes, how long the disk lasts,
+    the ends of certificates, and the newest and the next backup; with a token of any role but worker also the
+    state of each bus and the faults of the server.
 
     Exit 0 when it serves, else 1.
     """
@@ -68,7 +67,7 @@ def status(config: Path, token: str, token_file: Path | None, as_json: bool) -> 
     own, fault = verification(tls)
     url = url_of(settings.server.host, settings.server.port, "http" if tls is None else "https")
     serves = is_serving(url, own)
-    # A token is sent to the configured certificate only.
+    # A token is sent only to the configured certificate.
     buses, degraded = _state(url, bearer, own) if serves and bearer and fault is None else (None, None)
     if fault is not None:
         degraded = [{"code": fault.code, "since": None, "message": str(fault)}]
@@ -92,7 +91,7 @@ def status(config: Path, token: str, token_file: Path | None, as_json: bool) -> 
 
 
 class Facts(NamedTuple):
-    """Facts of a site for programs (bytes, days, ISO 8601) and, the same, as lines."""
+    """Facts of a site for programs (bytes, days, ISO 8601), and the same as lines of text."""
 
     shown: dict[str, Any]
     lines: list[Message]
@@ -114,7 +113,7 @@ def _site_facts(settings: Settings, now: UnixTime) -> Iterator[Facts]:
 
 
 def disk_facts(settings: Settings, now: UnixTime) -> Facts:
-    """Read the sizes of the stores, and judge for how long the free space of their disk is enough."""
+    """Read the sizes of the stores, and estimate how long the free space of their disk lasts."""
     data = settings.server.data
     stores = store_sizes(data)
     free = free_bytes(existing_part(data))
@@ -135,7 +134,7 @@ def disk_facts(settings: Settings, now: UnixTime) -> Facts:
 
 
 def certificate_facts(settings: Settings) -> Facts:
-    """Read when each certificate ends."""
+    """Read the end date of each certificate."""
     shown, lines = [], []
     for file, certificate in certificate_files(settings):
         shown.append({"file": file, "ends": None if certificate is None else iso(certificate.ends_at)})
@@ -147,7 +146,7 @@ def certificate_facts(settings: Settings) -> Facts:
 
 
 def backup_facts(settings: Settings, now: UnixTime) -> Facts:
-    """Read when the newest backup was begun, when the next is due, and why none can be written now."""
+    """Read when the newest backup began, when the next is due, and why none can be written now."""
     folder = settings.backup.folder
     if folder is None:
         return Facts({"backup": None}, [Message("status_no_backup")])
@@ -173,7 +172,7 @@ def backup_facts(settings: Settings, now: UnixTime) -> Facts:
 
 
 def _publisher_facts(settings: Settings, now: UnixTime) -> Facts:
-    """Read up to when the plant's database has everything, as far as the store knows."""
+    """Read the time up to which the plant's database is complete, as far as the store knows."""
     if settings.postgresql is None:
         return Facts({"publisher": None}, [])
     place, until = settings.postgresql.place, None
@@ -190,7 +189,7 @@ def _publisher_facts(settings: Settings, now: UnixTime) -> Facts:
 
 
 def _node_facts(settings: Settings, now: UnixTime) -> Facts:
-    """Read up to when the broker has everything of each line, as far as the store knows."""
+    """Read the time up to which the broker has all of each line, as far as the store knows."""
     if settings.mqtt is None:
         return Facts({"nodes": []}, [])
     place, zone = settings.mqtt.place, ZoneInfo(settings.site.zone)
@@ -238,7 +237,7 @@ def _opcua_facts(settings: Settings) -> Facts:
 
 
 def peer_faults(settings: Settings) -> list[tuple[PeerSettings, Message | None]]:
-    """Read all peers at the same time, each once; return each with why it cannot be read."""
+    """Read all peers at the same time, each once; return each with its fault, if any."""
 
     async def read() -> list[Message | None]:
         return await asyncio.gather(*map(fault_of, settings.peer))
@@ -247,11 +246,11 @@ def peer_faults(settings: Settings) -> list[tuple[PeerSettings, Message | None]]
 
 
 def verification(tls: TlsSettings | None) -> tuple[ssl.SSLContext | None, Message | None]:
-    """Return what verifies this machine's own server, None without TLS; and the reason if its file of
-    certificates is damaged: a server that read it before still serves."""
+    """Return a context that verifies this machine's own server, None without TLS; and the fault if its file
+    of certificates is damaged: a server that read it before still serves."""
     if tls is None:
         return None, None
-    # It trusts the configured certificate itself, under any name and at any time: this machine calls itself.
+    # The context trusts the certificate itself, under any name and at any time: this machine calls itself.
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN | NO_CHECK_TIME
@@ -263,10 +262,10 @@ def verification(tls: TlsSettings | None) -> tuple[ssl.SSLContext | None, Messag
 
 
 def is_serving(url: str, own: ssl.SSLContext | None = None) -> bool:
-    """Return whether a Lineside dashboard serves at ``url``. ``own``: what verifies its certificate; None
-    by http, where nothing is verified."""
+    """Return whether a Lineside dashboard serves at ``url``. ``own``: verifies its certificate; None for
+    http, where nothing is verified."""
     try:
-        # Without TLS there is nothing to verify: the authorities of the machine are not read.
+        # Without TLS nothing is verified: the authorities of the machine are not read.
         response = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False, verify=own or False)
         return response.status_code == 200 and response.json() == {"status": "ok"}
     except (httpx.HTTPError, httpx.InvalidURL, ValueError):
@@ -276,7 +275,7 @@ def is_serving(url: str, own: ssl.SSLContext | None = None) -> bool:
 def _state(
     url: str, token: str, own: ssl.SSLContext | None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Read the buses, and the faults of the server."""
+    """Return the buses, and the faults of the server."""
     with dashboard(url, token, own) as client:
         line, alarms = client.get("/line"), client.get("/alarms")["alarms"]
     history = line["history"]

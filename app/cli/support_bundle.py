@@ -1,8 +1,8 @@
-"""``lineside support-bundle``: what helps to find a fault from afar, and no secret.
+"""The command ``lineside support-bundle``: data that helps to find a fault from afar, without secrets.
 
-The configuration leaves out what is secret; of one that
-cannot be read only the faults are included, without what was written. Events are without who and values;
-files are names and sizes; URLs are without user and password.
+The configuration leaves out secrets; of a configuration that cannot be read only the faults are included,
+without its text. Events are without people and values; files are names and sizes; URLs are without user and
+password.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ JOURNAL = (
 )
 WITHIN_S = 10.0
 WRITTEN = frozenset(("text", "value"))
-"""Params of a fault of the configuration that hold what was written there."""
+"""The parameters of a configuration fault that contain text of the configuration."""
 _EVENTS = "SELECT id, time, kind, bus, unit, what, outcome FROM events ORDER BY id DESC LIMIT ?"
 
 
@@ -60,8 +60,8 @@ _EVENTS = "SELECT id, time, kind, bus, unit, what, outcome FROM events ORDER BY 
 )
 @config_option
 def support_bundle(out: Path, config: Path) -> None:
-    """Write what helps to find a fault into one file: versions, configuration, findings, events, log. It has
-    no password, token, key or value. Nothing else is changed."""
+    """Write data that helps to find a fault into one file: versions, configuration, findings, events, log. It
+    has no password, token, key or value. Nothing else is changed."""
     if out.exists():
         raise StoreError(Message.of("backup_exists", file=str(out)))
     packed = bundle(parts(config))
@@ -71,7 +71,7 @@ def support_bundle(out: Path, config: Path) -> None:
 
 
 def parts(config: Path) -> Iterator[tuple[str, bytes]]:
-    """Return each file of the bundle by its name; a part that cannot be had has the reason instead."""
+    """Yield each file of the bundle by its name; a part that cannot be read has the reason instead."""
     yield "about.json", _json(_about())
     try:
         settings = load(config)
@@ -101,7 +101,7 @@ def bundle(files: Iterable[tuple[str, bytes]]) -> bytes:
 
 
 def _masked(fault: Message) -> Message:
-    """Return a fault of the configuration without what was written in the file."""
+    """Return a fault of the configuration without the text that is in the file."""
     params = {
         name: MASK if name in WRITTEN else _masked(value) if isinstance(value, Message) else value
         for name, value in fault.params.items()

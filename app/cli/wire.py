@@ -1,6 +1,6 @@
-"""``lineside scan``, which addresses respond, at which baud rate, and what they are; ``lineside decode``, the
-meaning of frames; and ``lineside simulate``, simulated units at a port to open. None needs a site, and none
-writes to a unit."""
+"""The commands ``lineside scan`` (the addresses that respond, their baud rates, their kinds), ``lineside
+decode`` (the meaning of frames) and ``lineside simulate`` (simulated units at a port). None needs a site, and
+none writes to a unit."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ _SEPARATORS = re.compile(r"[\s,;:\[\]]+|0[xX]|\\x")
 _HEX = re.compile(r"(?:[0-9a-fA-F]{2})+")
 _STANDARD_INPUT = "-"
 FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
-"""9600 is the default of a unit, and the quickest to try."""
+"""The baud rates to try: 9600 is a unit's default, and the quickest."""
 INTERRUPTED = 130
-"""As a shell reports a program that SIGINT ended."""
+"""The exit code that a shell reports for a program ended by SIGINT."""
 BUS_NAME = "line-1"
 _SOCKET = "socket://"
 _KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign": "found_kind_foreign"}
@@ -68,7 +68,7 @@ def decode(hex_bytes: tuple[str, ...], file: Path | None, as_json: bool) -> None
 
 
 def _decode_text(text: str) -> list[Described | DescribedNoise]:
-    """Decode a trace or a run of hex. Raises CallerError for other text."""
+    """Decode a trace or a run of hex. Raise CallerError for other text."""
     lines = [line for line in text.splitlines() if line.strip()]
     if any(is_trace_line(line) for line in lines):
         return _decode_trace([parse_trace_line(line) for line in lines])
@@ -76,8 +76,8 @@ def _decode_text(text: str) -> list[Described | DescribedNoise]:
 
 
 def parse_hex(text: str) -> bytes:
-    """Return bytes from hex in any case, with or without 0x, blanks, commas, brackets. Raises CallerError
-    naming the invalid part."""
+    """Return bytes from hex in any case, with or without 0x, blanks, commas, brackets. Raise CallerError that
+    names the invalid part."""
     tokens = [token for token in _SEPARATORS.split(text) if token]
     if not tokens:
         raise CallerError(Message("bytes_missing"))
@@ -88,7 +88,7 @@ def parse_hex(text: str) -> bytes:
 
 
 def _decode_trace(traced: list[Frame]) -> list[Described | DescribedNoise]:
-    """Decode each direction as a separate stream; a response is decoded with the request before it."""
+    """Decode each direction as a separate stream, a response with the request before it."""
     dialect = Dialect()
     describer = Describer(dialect)
     streams = {"out": FrameDecoder(dialect), "in": FrameDecoder(dialect)}
@@ -138,7 +138,7 @@ def scan(
     as_json: bool,
     as_toml: bool,
 ) -> None:
-    """Poll every address, twice without a response; nothing is written to any unit.
+    """Poll every address, twice if it does not respond; nothing is written to any unit.
 
     Exit 0 when a unit responded, 1 when none did, 130 when interrupted by Ctrl-C. The JSON has the reason as
     `failure` unless it is 0.
@@ -195,7 +195,7 @@ def bauds_to_try(port: str, baud: int | None) -> tuple[int, ...]:
 def announcement(
     port: str, bauds: Sequence[int], addresses: range, turnaround_s: float, every_baud: bool
 ) -> Message:
-    """Return what will be done and how long it takes."""
+    """Return the message that announces a scan and its duration."""
     seconds = [PASSES * len(addresses) * no_response_s(baud, turnaround_s) for baud in bauds]
     which = Message.of(
         "scan_addresses" if len(addresses) > 1 else "scan_address", first=addresses[0], last=addresses[-1]
@@ -225,8 +225,8 @@ async def scan_bauds(
     turnaround_s: float,
     every_baud: bool,
 ) -> None:
-    """Scan at one baud rate after another, by default until one has a unit. Each adds to ``scans`` as it
-    begins, so that an early end leaves what was found. Raises WireError."""
+    """Scan at one baud rate after another, by default until a unit responds. Each adds to ``scans`` as it
+    begins, so that an early end keeps the results. Raise WireError."""
     for baud in bauds:
         scans.append(BaudScan(baud, turnaround_s))
         length = PASSES * len(addresses)
@@ -237,12 +237,12 @@ async def scan_bauds(
 
 
 def units_of(scans: Sequence[BaudScan]) -> list[Found]:
-    """Return what responded, in the order of the scan."""
+    """Return the devices that responded, in the order of the scan."""
     return [one for done in scans for one in done.found]
 
 
 def allowed_ms(scans: Sequence[BaudScan]) -> int:
-    """Return what units were allowed to take in the end."""
+    """Return the longest turnaround that units were allowed, in milliseconds."""
     return max((round(1000 * done.turnaround_s) for done in scans), default=0)
 
 
@@ -315,7 +315,7 @@ def _remarks(remarks: Sequence[Message]) -> dict[str, Any]:
 
 def _bus_found(port: str, found: Sequence[Found], turnaround_ms: float) -> dict[str, Any]:
     """Return the ``[[bus]]`` of a scan, with its drives in the order of addresses. A bus has one baud rate:
-    that of most units. ``turnaround_ms``: what was needed."""
+    that of most units. ``turnaround_ms``: the turnaround that was needed."""
     drives = [one for one in found if one.kind == "digimax"]
     baud = Counter(one.baud for one in drives).most_common(1)[0][0] if drives else 9600
     own = [one for one in drives if one.baud == baud]
@@ -342,7 +342,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _dialect_option(name: str, words: str) -> Callable[[F], F]:
-    """Make an option for what the manual leaves open; its values are those of lineside.toml."""
+    """Return an option for a detail that the manual leaves open; its values are those of lineside.toml."""
     field = Dialect.model_fields[name]
     values = click.Choice(get_args(field.annotation))
     return click.option(f"--{name.replace('_', '-')}", type=values, default=field.default, help=words)
@@ -399,7 +399,7 @@ def simulate(
     control: int | None,
     **dialect: Any,
 ) -> None:
-    """Run simulated units only. The first line printed is the port to open. Ends with Ctrl-C or SIGTERM."""
+    """Run simulated units only. The first printed line is the port to open. End by Ctrl-C or SIGTERM."""
     if tcp is not None and link is not None:
         raise wrong_option("--link", "option_link_with_tcp")
     signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
