@@ -1,1 +1,1 @@
-"""The machine room: configuration, backup, metrics, the plant's database, peers."""
+"""The operation of the server: configuration, backup, metrics, the plant's systems, peers."""

@@ -1,5 +1,5 @@
-"""The tags of a unit: what the plant's systems are given of it by MQTT and OPC UA, with names, engineering
-units, ranges and values. Pure.
+"""The tags of a unit, its values for the plant's systems by MQTT and OPC UA, with names, engineering units
+and ranges. Pure.
 
 Speeds are in display units by the unit's own decimals (#3); a value is None while it, or its scale, was not
 read.
@@ -35,10 +35,10 @@ INPUTS = {
     "down": "Down",
     "slave": "Follower",
 }
-"""The inputs of ST1 and what they are called without a label of their own."""
+"""The inputs of ST1 with their names, for inputs without a label."""
 OUTPUTS = {f"output_{number}": f"Output {number}" for number in OUTPUT_NUMBERS}
 OF_READING = 5 + len(INPUTS) + len(OUTPUTS)
-"""How many tags come from a response to 81h; they are the first."""
+"""The number of tags from a response to 81h; they come first."""
 LINK, ALARMS = OF_READING, OF_READING + 1
 """The places of the state of the link and of the number of active alarms."""
 SHOWN_PARAMETERS = tuple(each for each in PARAMETERS.values() if not each.secret)
@@ -46,9 +46,9 @@ SHOWN_PARAMETERS = tuple(each for each in PARAMETERS.values() if not each.secret
 
 @dataclass(frozen=True, slots=True)
 class Tag:
-    """One value of a unit. ``name``: with folders, ``Speed/Actual``; ``unit``: its engineering unit;
-    ``low``, ``high``: its range; ``decimals``: places that have a meaning, for a parameter those of its raw
-    integer; ``column``: its name in a row of the history, empty where it has none."""
+    """A value of a unit. ``name``: with folders, ``Speed/Actual``; ``unit``: its engineering unit; ``low``,
+    ``high``: its range; ``decimals``: significant places, for a parameter those of its raw integer;
+    ``column``: its name in a row of the history, empty if it has none."""
 
     name: str
     kind: Kind
@@ -62,8 +62,8 @@ class Tag:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """What the values of a unit are read by; after a change its tags have other units or ranges. ``measure``:
-    what its speeds are measured in, empty for ratios."""
+    """The scale of a unit's values; after a change its tags have other units or ranges. ``measure``: of its
+    speeds, empty for ratios."""
 
     decimals: int | None
     maximum: int | None
@@ -72,12 +72,12 @@ class Scale:
 
     @property
     def divisor(self) -> int | None:
-        """Return by what a speed as sent is divided; None while that is not known."""
+        """The divisor of a speed as sent; None while that is not known."""
         return None if self.decimals is None or self.decimals > MAX_DECIMALS else 10**self.decimals
 
 
 def scale_now(bus: BusLive, unit: UnitLive) -> Scale:
-    """Return what the values of a unit are read by now."""
+    """Return the present scale of a unit's values."""
     decimals = speed_decimals(bus, unit)
     measure = quantity_of(bus, unit)
     maximum = HIGHEST_SPEED if measure is None else unit.parameter_raw(MAX_DISPLAY)
@@ -107,8 +107,8 @@ def tags_of(unit: UnitLive, scale: Scale) -> tuple[Tag, ...]:
 
 
 def _named(folder: str, usual: Mapping[str, str], labels: Mapping[Any, str]) -> Iterator[Tag]:
-    """Yield bits by their labels; of two labels that differ in case only, or not at all, the second gets its
-    own name behind it."""
+    """Yield bits by their labels; of two labels that are equal, at least without case, the second gets its
+    own name appended."""
     taken: set[str] = set()
     for column, plain in usual.items():
         name = (labels.get(column) or plain).replace("/", "-")
@@ -144,7 +144,7 @@ def reading_values(bus: BusLive, unit: UnitLive, reading: Reading, scale: Scale)
 
 
 def other_values(unit: UnitLive, link: str, alarms: int) -> tuple[Value, ...]:
-    """Return the values behind those of a reading: link, alarms, parameters as raw integers."""
+    """Return the values after those of a reading: link, alarms, parameters as raw integers."""
     known = unit.parameters
     raw = (known[each.number].raw if each.number in known else None for each in SHOWN_PARAMETERS)
     return (
@@ -155,8 +155,8 @@ def other_values(unit: UnitLive, link: str, alarms: int) -> tuple[Value, ...]:
 
 
 def unique_names(names: Iterable[tuple[int, str]]) -> dict[int, str]:
-    """Return the names of units by their numbers; one that differs from another in case only, or not at all,
-    gets the number behind it (Sparkplug 3.0, 4.1: ids that are equal in lower case are to be avoided)."""
+    """Return the names of units by number; names that are equal without case get the number appended
+    (Sparkplug 3.0, 4.1: avoid ids that are equal in lower case)."""
     given = list(names)
     folded = [name.casefold() for _, name in given]
     return {

@@ -1,1 +1,1 @@
-"""Backups of everything that a server keeps: written, thinned and read."""
+"""Backups of all data that a server keeps: write, thin out, read."""

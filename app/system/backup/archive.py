@@ -1,9 +1,9 @@
-"""Reads a backup, from one file or from a folder of backups. Anyone may have forged it.
+"""The reading of a backup, from one file or from a folder of backups. Anyone may have forged it.
 
 Each content is compared with its SHA-256 in the manifest. Of a tar archive only the known names and plain
 files are read, and every size is checked before anything is read; no path of the archive is ever used.
-`tarfile` reads the headers, within a bound, and writes nothing: extracting follows what an archive states,
-and its filters are not in Python 3.11.2, which Debian 12 ships.
+`tarfile` reads the headers, within a limit, and writes nothing: extracting follows the statements of an
+archive, and its filters are not in Python 3.11.2, which Debian 12 ships.
 """
 
 from __future__ import annotations
@@ -51,17 +51,17 @@ EMPTY = hashlib.sha256().hexdigest()
 
 
 class BackupError(LinesideError):
-    """A backup is not what Lineside writes, for a reason by its code."""
+    """Raised for a backup that Lineside did not write, with a reason by its code."""
 
     def __init__(self, code: str, **params: ParamValue) -> None:
         super().__init__(Message(code, params))
 
 
 class Manifest(msgspec.Struct, omit_defaults=True):
-    """What a backup consists of, each with its SHA-256: ``stores`` by name, of which a folder has history and
-    pictures as frames and ``parts`` (by key, with the version); ``files``: those of the site; ``events``:
-    files of archived events, ``kept_events``: those that version 0.2 kept in a folder beside. ``time``: Unix
-    time of the backup; ``turn``: how many there were before it, for the rotation of the check."""
+    """The contents of a backup, each with its SHA-256: ``stores`` by name (a folder has history and pictures
+    as frames and ``parts``, by key, with the version); ``files``: those of the site; ``events``: files of
+    archived events; ``kept_events``: those that version 0.2 kept in a folder beside. ``time``: Unix time of
+    the backup; ``turn``: number of earlier backups, which rotates the check."""
 
     time: Annotated[float, msgspec.Meta(ge=0, lt=2**37)]
     stores: Annotated[dict[str, Digest], msgspec.Meta(min_length=1)]
@@ -75,25 +75,25 @@ class Manifest(msgspec.Struct, omit_defaults=True):
 
     @property
     def all_events(self) -> dict[str, str]:
-        """The digest of each file of archived events, wherever it is."""
+        """The digest of each file of archived events, wherever the file is."""
         return {**self.events, **self.kept_events}
 
     @property
     def digests(self) -> dict[str, str]:
-        """The digest of everything that has a name."""
+        """The digest of each content that has a name."""
         return {**self.stores, **self.files, **self.all_events}
 
     @property
     def is_plausible(self) -> bool:
-        """Whether the manifest names nothing but what a backup can have."""
+        """Whether the manifest names only contents that a backup can have."""
         is_named = self.stores.keys() <= {*STORES} and all(map(ARCHIVED.fullmatch, self.all_events))
         return is_named and self.events.keys().isdisjoint(self.kept_events)
 
 
 class WrittenBackup(NamedTuple):
-    """What a backup has: the names of its ``stores`` and of the files of archived ``events``; what it has
-    not: ``events_absent``, which are not in the archive, ``left_out``, files of the site for which there is
-    no key. ``bytes``: written by this run. ``damaged``: contents that older backups have lost."""
+    """The result of writing a backup: the names of its ``stores`` and of the files of archived ``events``;
+    ``events_absent``: files missing in the archive; ``left_out``: files of the site for which there is no
+    key; ``bytes``: written by this run; ``damaged``: contents that older backups have lost."""
 
     file: str
     stores: list[str]
@@ -105,7 +105,7 @@ class WrittenBackup(NamedTuple):
 
 
 def decode_manifest(content: bytes) -> Manifest:
-    """Read a manifest. Raises BackupError."""
+    """Read a manifest. Raise BackupError."""
     try:
         manifest = msgspec.json.decode(content, type=Manifest)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
@@ -116,37 +116,37 @@ def decode_manifest(content: bytes) -> Manifest:
 
 
 class Backup:
-    """An open backup, of which nothing but the manifest is read yet."""
+    """An open backup, of which only the manifest has been read."""
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
         self.path, self.manifest = path, manifest
         self.lost: list[str] = []
-        """Parts of history and pictures that :meth:`unpack` left out, as they were missing or damaged."""
+        """The parts of history and pictures that :meth:`unpack` left out: missing or damaged."""
 
     def size_of(self, name: str) -> int:
-        """Return the bytes of a content. Raises OSError."""
+        """Return the size of a content in bytes. Raise OSError."""
         raise NotImplementedError
 
     def chunks(self, name: str) -> Iterator[bytes]:
-        """Yield a content, a piece at a time. Raises OSError, BackupError."""
+        """Yield a content piece by piece. Raise OSError or BackupError."""
         raise NotImplementedError
 
     @property
     def message(self) -> Message:
-        """Return the file of the backup, when it was taken and its SHA-256, hexadecimal."""
+        """The file of the backup, the time of the backup and its SHA-256, hexadecimal."""
         taken = datetime.fromtimestamp(self.manifest.time, UTC).isoformat(timespec="seconds")
         return Message.of("backup_of", file=self.path.name, time=taken, digest=digest_of(self.path))
 
     def unpack(self, folder: Path) -> list[Path]:
-        """Write the stores into an empty folder; each is what was backed up. Raises StoreError."""
+        """Write the stores into an empty folder, as they were backed up. Raise StoreError."""
         stores = sorted(self.manifest.stores)
         self.require_space(sum(map(self.size_of, stores)), folder)
         return [self.unpack_one(name, folder / name) for name in stores]
 
     def unpack_events(self, folder: Path) -> list[Path]:
-        """Write the archived events that are not in the folder; one that is there stays. Raises StoreError
-        where it is another one, OSError. Those that are missing or damaged in the backup are left out: the
-        stores come back without."""
+        """Write the archived events that the folder lacks; existing files stay. Raise StoreError if an
+        existing file differs, or OSError. Files that are missing or damaged in the backup are left out: the
+        stores are restored without them."""
         digests = self.manifest.all_events
         places = {name: folder / name for name in sorted(digests)}
         absent = {name: place for name, place in places.items() if not os.path.lexists(place)}
@@ -162,7 +162,7 @@ class Backup:
         return [*absent.values()]
 
     def files(self) -> tuple[str, bytes]:
-        """Return the files of the site in the backup: their name and the content. Raises StoreError."""
+        """Return the files of the site in the backup: their name and content. Raise StoreError."""
         for name in self.manifest.files:
             if self.size_of(name) > MAX_BYTES:
                 raise BackupError("archive_too_large", most=MAX_BYTES)
@@ -172,18 +172,18 @@ class Backup:
         raise BackupError("archive_without_files")
 
     def verify(self) -> None:
-        """Read everything that has a name. Raises StoreError where something is not what was backed up."""
+        """Read every content that has a name. Raise StoreError if one differs from its digest."""
         for name in self.manifest.digests:
             if not self._is_sound(name):
                 raise self._damaged(name)
 
     def require_space(self, needed: int, folder: Path) -> None:
-        """Raises StoreError where the disk of a folder has less."""
+        """Raise StoreError if the disk of a folder has less space."""
         if needed > (free := free_bytes(folder)):
             raise StoreError(Message.of("backup_needs_space", file=str(self.path), needed=needed, free=free))
 
     def unpack_one(self, name: str, place: Path) -> Path:
-        """Write a content to where no file is. Raises StoreError where it is not what was backed up."""
+        """Write a content to a new file. Raise StoreError if it differs from its digest."""
         digest, flags = hashlib.sha256(), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         with os.fdopen(os.open(place, flags, FILE_MODE), "wb") as target:
             for chunk in self.chunks(name):
@@ -212,7 +212,7 @@ class Backup:
 
 
 def open_plain(path: Path) -> BufferedReader:
-    """Open a file. Raises OSError, also for a link, and BackupError for a FIFO, which would be waited for."""
+    """Open a file. Raise OSError, also for a link, and BackupError for a FIFO, which would block."""
     file = os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOFOLLOW), "rb")
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
@@ -221,7 +221,7 @@ def open_plain(path: Path) -> BufferedReader:
 
 
 def chunks_of(file: BufferedReader, size: int) -> Iterator[bytes]:
-    """Yield so many bytes of a file from its present position. Raises BackupError where it ends before."""
+    """Yield ``size`` bytes of a file from its present position. Raise BackupError if it ends earlier."""
     while size:
         chunk = file.read(min(size, _CHUNK))
         if not chunk:
@@ -232,23 +232,23 @@ def chunks_of(file: BufferedReader, size: int) -> Iterator[bytes]:
 
 MANIFEST = "manifest.json"
 KEPT_EVENTS = "archived-events"
-"""The folder beside an archive of version 0.2 in which archived events were kept, by their SHA-256."""
+"""The folder beside an archive of version 0.2 that kept archived events, by their SHA-256."""
 WORKING = ".lineside-backup-"
-"""Begins the name of the folder in which an archive is made."""
+"""The start of the name of the folder in which an archive is made."""
 MAX_ARCHIVE_BYTES = 256 * 2**30
 MAX_MANIFEST_BYTES = 2**18
 MAX_HEADER_BYTES = 2**21
-"""Of all members together: `tarfile` writes at most 1,536 for each, its time in an extended header. A century
-of archived events has 1,200."""
+"""The limit for all members together: `tarfile` writes at most 1,536 for each, with its time in an extended
+header. A century of archived events has 1,200 members."""
 MAX_PADDING_BYTES = 2**20
-"""After the last member; GNU tar fills up records of at most 512 kB."""
+"""The limit after the last member; GNU tar fills up records of at most 512 kB."""
 _EXTENDED = frozenset(("mtime", "atime", "ctime", "size", "uid", "gid", "uname", "gname"))
-"""What an extended header may state. It could also give another path, or holes."""
+"""The allowed keys of an extended header, which could also give another path, or holes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """Where the content of a member is, in bytes."""
+    """The place of a member's content, in bytes."""
 
     start: int
     size: int
@@ -281,7 +281,7 @@ class BackupArchive(Backup):
 
 @contextmanager
 def open_archive(path: Path) -> Iterator[BackupArchive]:
-    """Open an archive. Raises StoreError for a file that is none."""
+    """Open an archive. Raise StoreError for a file that is not one."""
     try:
         with open_plain(path.resolve()) as file:
             yield _read(file, path)
@@ -291,8 +291,8 @@ def open_archive(path: Path) -> Iterator[BackupArchive]:
 
 def write_archive(data: Path, file: Path, files: SiteFiles | None, archive: Path | None) -> WrittenBackup:
     """Copy the stores of a data folder, the files of its site, and the archived events of its log into one
-    file. Raises StoreError, also where a store or a file of the archive is damaged: it could not be put back;
-    then there is no file."""
+    file. Raise StoreError, also if a store or a file of the archive is damaged, as it could not be restored;
+    then no file is written."""
     present = [name for name in STORES if (data / name).exists()]
     if not present:
         raise StoreError(Message.of("stores_missing", folder=str(data)))
@@ -341,8 +341,8 @@ def write_archive(data: Path, file: Path, files: SiteFiles | None, archive: Path
 
 @contextmanager
 def _working_folder(beside: Path) -> Iterator[Path]:
-    """Make a folder on the disk of the backup, which is locked while it is used: one whose process was killed
-    is known by that, and removed by the next backup."""
+    """Make a folder on the disk of the backup and lock it while it is used: an unlocked folder belongs to a
+    killed process, and the next backup removes it."""
     for left in beside.glob(f"{WORKING}*"):
         with suppress(OSError), locked(left, fcntl.LOCK_EX | fcntl.LOCK_NB):
             shutil.rmtree(left, ignore_errors=True)
@@ -352,7 +352,7 @@ def _working_folder(beside: Path) -> Iterator[Path]:
 
 @contextmanager
 def locked(folder: Path, how: int = fcntl.LOCK_EX) -> Iterator[None]:
-    """Hold the lock of a folder, which ends with the process. Raises OSError."""
+    """Hold the lock of a folder; it ends with the process. Raise OSError."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, how)
@@ -377,7 +377,7 @@ def _read(file: BufferedReader, path: Path) -> BackupArchive:
 
 
 def _members(file: BufferedReader, size: int) -> dict[str, Extent]:
-    """Return by name where each member is, none beyond the end of the file, which is ``size``."""
+    """Return the place of each member by name, none beyond ``size``, the end of the file."""
     members: dict[str, Extent] = {}
     try:
         with tarfile.TarFile(fileobj=_Headers(file)) as archive:
@@ -403,8 +403,7 @@ def _members(file: BufferedReader, size: int) -> dict[str, Extent]:
 
 
 def _check(info: tarfile.TarInfo, of_all: Mapping[str, str]) -> None:
-    """Raises BackupError for a member that no backup has. ``of_all``: what a header states for all
-    members."""
+    """Raise BackupError for a member that no backup has. ``of_all``: the header for all members."""
     is_plain = info.type in (tarfile.REGTYPE, tarfile.AREGTYPE) and info.sparse is None
     is_known = info.name in (MANIFEST, *STORES, IN_CLEAR, ENCRYPTED) or ARCHIVED.fullmatch(info.name)
     if of_all or not is_plain or not is_known or info.pax_headers.keys() - _EXTENDED:
@@ -412,8 +411,8 @@ def _check(info: tarfile.TarInfo, of_all: Mapping[str, str]) -> None:
 
 
 class _Headers(BufferedIOBase):
-    """The file as `tarfile` reads headers in it, which can never be more than a few: a forged one may state
-    any length, and `tarfile` would follow."""
+    """The file from which `tarfile` reads headers, with a limit: a forged header may state any length, and
+    `tarfile` would follow it."""
 
     def __init__(self, file: BufferedReader) -> None:
         self._file = file

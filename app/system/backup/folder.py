@@ -3,9 +3,9 @@
 The folder has a manifest for each backup, and every content once, under its SHA-256. A backup writes the
 contents that the folder does not have, syncs and reads back each of them, and only then puts its manifest
 into the folder under its name: an unfinished backup has no manifest. No content ever changes, so backups
-share them, and each is complete on its own.
+share contents, and each backup is complete on its own.
 
-The clock may have been set by a year, in either direction, since any of the backups.
+The clock may have been changed by a year, in either direction, since any of the backups.
 """
 
 from __future__ import annotations
@@ -66,15 +66,15 @@ from bus.instants import UnixTime
 from bus.messages import Message
 
 FORMAT = "lineside-%Y%m%dT%H%M%SZ.json"
-"""The manifest of a backup, named by UTC."""
+"""The name of a backup's manifest, by UTC."""
 ARCHIVE = re.compile(r"lineside-(\d{4}-\d{2}-\d{2}-\d{6})\.tar")
-"""A backup of version 0.2, named by the clock of the site."""
+"""The name of a backup of version 0.2, by the clock of the site."""
 RETRY_S = 3600.0
-"""After one that failed, or sooner where backups are more frequent."""
+"""The delay after a failed backup; it is shorter if backups are more frequent."""
 HOUR_S, DAY_S = 3600.0, 86_400.0
 ALL_S = 2 * HOUR_S
-"""Of so long every backup is kept; then of a day one per hour, of ``keep`` days one per day, then one per
-month."""
+"""The time for which every backup is kept; then one per hour of a day, one per day of ``keep`` days, then one
+per month."""
 MONTHS = 12
 
 
@@ -91,9 +91,9 @@ def next_after(now: UnixTime, at: str, zone: ZoneInfo) -> UnixTime:
 def next_due(
     now: UnixTime, newest: UnixTime | None, failed: UnixTime | None, settings: BackupSettings, zone: ZoneInfo
 ) -> UnixTime:
-    """Return when the next backup is due; not after ``now`` where it is to begin. ``newest``: when the newest
-    was begun, None where there is none; ``failed``: when the last attempt was begun, None where it succeeded.
-    A time in the future is of a clock that was wrong, and counts for nothing."""
+    """Return when the next backup is due; not after ``now`` if one should begin. ``newest``: the start of the
+    newest backup, None if there is none; ``failed``: the start of the last attempt, None if it succeeded. A
+    time in the future comes from a wrong clock and does not count."""
     every = settings.every_s
     if newest is None or newest > now:
         due = now
@@ -104,12 +104,12 @@ def next_due(
 
 
 def name_of(at: UnixTime) -> str:
-    """Return the manifest of a backup that begins at this time: names of later ones come after it."""
+    """Return the name of a backup's manifest by its start; later backups sort after it."""
     return datetime.fromtimestamp(float(at), UTC).strftime(FORMAT)
 
 
 def time_of(name: str, zone: tzinfo = UTC) -> UnixTime | None:
-    """Return when a backup was begun, by its name; None for another file."""
+    """Return the start of a backup by its name; None for another file."""
     try:
         if (archive := ARCHIVE.fullmatch(name)) is not None:
             local = datetime.strptime(archive[1], "%Y-%m-%d-%H%M%S").replace(tzinfo=zone)
@@ -121,14 +121,14 @@ def time_of(name: str, zone: tzinfo = UTC) -> UnixTime | None:
 
 
 def too_many(names: Iterable[str], keep: int, written: str, zone: ZoneInfo) -> list[str]:
-    """Return those of the files of a folder that are backups and not kept. ``written``, the one that was
-    written just now, is the newest: those of a later date are of a clock that was wrong."""
+    """Return the files of a folder that are backups but not to be kept. ``written``, the backup just written,
+    is the newest: those with a later date come from a wrong clock."""
     times = {name: at for name in names if (at := time_of(name, zone)) is not None}
     now = times[written]
     past = sorted((name for name, at in times.items() if at <= now), key=times.__getitem__, reverse=True)
 
     def first_of(key: Callable[[datetime], tuple[int, ...]], most: int) -> set[str]:
-        """Return the newest backup of each of the newest so many periods."""
+        """Return the newest backup of each of the ``most`` newest periods."""
         found: dict[tuple[int, ...], str] = {}
         for name in past:
             found.setdefault(key(datetime.fromtimestamp(float(times[name]), zone)), name)
@@ -144,11 +144,11 @@ def too_many(names: Iterable[str], keep: int, written: str, zone: ZoneInfo) -> l
 
 SITE, CONTENTS = "lineside-site.json", "contents"
 FULL_CHECK_S = 28 * 86_400.0
-"""Within so long the rotation has read every content again."""
+"""The time in which the rotation has read every content again."""
 REMOVE_EVERY = 6
-"""Backups after which contents that no backup names are removed: every manifest is read for that."""
+"""The number of backups between two removals of unnamed contents, which read every manifest."""
 MARGIN = 10_000_000
-"""Bytes that a backup takes beside the main store, where the folder has the rest."""
+"""The bytes that a backup takes besides the main store, if the folder has the rest."""
 
 
 class _Site(msgspec.Struct):
@@ -157,7 +157,7 @@ class _Site(msgspec.Struct):
 
 
 class FolderBackup(Backup):
-    """A backup of a folder, by its manifest."""
+    """A backup in a folder, by its manifest."""
 
     def __init__(self, path: Path) -> None:
         with open_plain(path) as file:
@@ -173,7 +173,7 @@ class FolderBackup(Backup):
             yield from chunks_of(file, os.fstat(file.fileno()).st_size)
 
     def unpack(self, folder: Path) -> list[Path]:
-        """Put frames and parts together. A part that is missing or damaged is left out: it costs itself."""
+        """Put frames and parts together. A missing or damaged part is left out; the others are restored."""
         self.require_space(sum(map(self._size, self._parts())), folder)
         unpacked = super().unpack(folder)
         for store in unpacked:
@@ -205,7 +205,7 @@ class FolderBackup(Backup):
 
 
 def is_sound(content: Path) -> bool:
-    """Return whether a content is what its name is the SHA-256 of. A FIFO or a link in its place is not
+    """Return whether a content has the SHA-256 that is its name. A FIFO or a link in its place is not
     read."""
     with suppress(OSError, BackupError), open_plain(content) as file:
         return hashlib.file_digest(file, "sha256").hexdigest() == content.name
@@ -213,16 +213,15 @@ def is_sound(content: Path) -> bool:
 
 
 def manifests_in(folder: Path) -> list[Path]:
-    """Return the backups of a folder, the newest first. Raises StoreError for a folder that cannot be
-    read."""
+    """Return the backups of a folder, newest first. Raise StoreError for a folder that cannot be read."""
     with in_words(folder):
         names = [path for path in folder.iterdir() if path.suffix == ".json" and time_of(path.name)]
     return sorted(names, reverse=True)
 
 
 def open_newest(folder: Path, until: UnixTime | None = None) -> FolderBackup:
-    """Open the newest backup of a folder that can be read, or the newest that was begun until a time. Raises
-    StoreError where there is none."""
+    """Open the newest readable backup of a folder, or the newest that began by a time. Raise StoreError if
+    there is none."""
     for path in manifests_in(folder):
         if until is None or (time_of(path.name) or until) <= until:
             with suppress(OSError, BackupError):
@@ -231,8 +230,8 @@ def open_newest(folder: Path, until: UnixTime | None = None) -> FolderBackup:
 
 
 def refuse_other_site(folder: Path, store: Path) -> str:
-    """Return what tells the site of a main store from others. Raises StoreError for a folder that has the
-    backups of another site, and for a store of an earlier version."""
+    """Return the identity of the site of a main store. Raise StoreError for a folder with the backups of
+    another site, and for a store of an earlier version."""
     with examining(store) as connection:
         site = site_of(connection)
     if site is None:
@@ -250,8 +249,8 @@ def refuse_other_site(folder: Path, store: Path) -> str:
 
 
 def space_needed(settings: Settings, folder: Path) -> int:
-    """Return the bytes that the next backup takes of the disk of a folder: the main store, and all else for
-    the first one."""
+    """Return the bytes that the next backup takes on the disk of a folder: the main store; all data for the
+    first backup."""
     data, names = settings.server.data, [STORE_FILE]
     files: list[Path] = []
     if not (folder / CONTENTS).is_dir():
@@ -262,10 +261,9 @@ def space_needed(settings: Settings, folder: Path) -> int:
 
 
 def write_to_folder(settings: Settings, folder: Path, now: UnixTime) -> WrittenBackup:
-    """Add a backup to a folder, and remove those that are too many. Raises StoreError, and then there is no
-    further backup."""
+    """Add a backup to a folder, and remove the excess ones. Raise StoreError; then no backup is added."""
     if not folder.is_dir():
-        # It is not made: it may be that of a disk that is not mounted.
+        # The folder is not created: it may belong to a disk that is not mounted.
         raise StoreError(Message.of("backup_folder_missing", folder=str(folder)))
     if not settings.server.store.exists():
         raise StoreError(Message.of("stores_missing", folder=str(settings.server.data)))
@@ -275,8 +273,8 @@ def write_to_folder(settings: Settings, folder: Path, now: UnixTime) -> WrittenB
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Let one backup run at a time: another could remove what this one is about to name. What a run that was
-    killed has left is removed."""
+    """Let only one backup run at a time: another could remove contents that this one is about to name. Remove
+    the remains of a killed run."""
     contents = folder / CONTENTS
     refuse_link(contents)
     make_folder(contents)
@@ -287,7 +285,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 class _Run:
-    """One backup that is being written."""
+    """A backup that is being written."""
 
     def __init__(self, settings: Settings, folder: Path, now: UnixTime) -> None:
         self._settings, self._folder, self._now = settings, folder, now
@@ -325,7 +323,7 @@ class _Run:
         )
         name = self._finish(manifest)
         self._thin(name)
-        # What this run has written again is sound for every backup.
+        # Contents that this run has written again are sound for every backup.
         lost = sorted(digest for digest in damaged if digest not in self._names)
         return WrittenBackup(
             name, [*manifest.stores], [*events], absent, files.left_out, sum(self._written.values()), lost
@@ -339,8 +337,8 @@ class _Run:
             raise StoreError(Message.of("backup_disk_full", file=str(self._folder), needed=needed, free=free))
 
     def _check_some(self) -> list[str]:
-        """Read some of the contents, others each time. A damaged one is removed, and so written again where
-        the store still has it."""
+        """Read a part of the contents, another part each time. Remove damaged ones: they are written again if
+        the store still has them."""
         slices = max(1, int(FULL_CHECK_S / (self._settings.backup.every_s or 86_400.0)))
         mine = [name for name in self._names if int(name[:8], 16) % slices == self._turn % slices]
         damaged = [name for name in mine if not is_sound(self._contents / name)]
@@ -350,8 +348,8 @@ class _Run:
         return damaged
 
     def _take_apart(self, name: str, parts: dict[str, tuple[str, str]]) -> str:
-        """Add the parts of a store, of which those are exported that changed; return the digest of its frame,
-        nothing where the store is not there."""
+        """Add the parts of a store, exporting those that changed; return the digest of its frame, empty if
+        there is no store."""
         path = self._settings.server.data / name
         if not path.exists():
             return ""
@@ -364,7 +362,7 @@ class _Run:
             return self._put(export_frame(name, store))
 
     def _main_store(self, store: Path) -> tuple[str, Path]:
-        """Copy the main store; return the digest and the place of its copy."""
+        """Copy the main store; return the digest and the place of the copy."""
         fresh = self._contents / ".store"
         copy_store(store, fresh)
         digest = digest_of(fresh)
@@ -373,9 +371,9 @@ class _Run:
         return digest, fresh.rename(self._contents / digest)
 
     def _events(self, copy: Path) -> tuple[dict[str, str], list[str]]:
-        """Return the digest of each archived file of a copied log, and the names of those that are not in the
-        archive. They never change, and the copy names none that comes later. Raises StoreError for a damaged
-        one."""
+        """Return the digest of each archived file of a copied log, and the names of those missing in the
+        archive. Archived files never change, and the copy names no later ones. Raise StoreError for a damaged
+        file."""
         archive, found, absent = self._settings.audit.archive, {}, []
         for name, digest in archived_in(copy).items():
             if digest not in self._names and (archive is None or not (archive / name).is_file()):
@@ -398,7 +396,7 @@ class _Run:
         return digest
 
     def _finish(self, manifest: Manifest) -> str:
-        """Read back what was written, then put the manifest in its place. Raises StoreError."""
+        """Read back the written contents, then put the manifest in its place. Raise StoreError."""
         sync_folder(self._contents)
         for digest in self._written:
             if not is_sound(self._contents / digest):

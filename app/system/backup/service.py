@@ -1,4 +1,4 @@
-"""Writes a backup whenever one is due, in another process, which gives way to all others."""
+"""The service that writes a backup when one is due, in another process with low priority."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message, joined
 
 LOOK_S = 30.0
-"""How often the clock is looked at: one that is set moves the next backup."""
+"""The seconds between two looks at the clock: setting the clock moves the next backup."""
 NICE = 15
 log = structlog.get_logger()
 Written = tuple[str, Message | None]
-"""The name of a backup, and what is to be said of it."""
+"""The name of a backup, and a remark on it, if any."""
 WriteBackup = Callable[[], Awaitable[Written]]
 
 
 class FailedBackup(LinesideError):
-    """A backup could not be written."""
+    """Raised if a backup could not be written."""
 
 
 class Backups:
-    """The backups of one server. ``write`` makes one and verifies it."""
+    """The backups of one server. ``write`` makes and verifies one."""
 
     def __init__(
         self,
@@ -54,34 +54,34 @@ class Backups:
         self._write = write or self._by_command
         self._clock = clock
         self.failing: Message | None = None
-        """Why the last attempt failed; mostly None."""
+        """The reason why the last attempt failed; None if it succeeded."""
         self._noted_on = ""
-        """The day of the last event of a backup that was written."""
+        """The day of the last event of a written backup."""
         self._since = _last_change(config) or clock()
         self.written: UnixTime | None = None
-        """When the newest backup was begun."""
+        """The start of the newest backup."""
         self._failed: UnixTime | None = None
 
     @property
     def newest(self) -> UnixTime | None:
-        """When the newest backup was begun; while there is none, when the configuration that requests it was
-        last changed. None: there are to be none."""
+        """The start of the newest backup; without one, the last change of the configuration that wants one.
+        None: no backup is wanted."""
         return (self.written or self._since) if self._settings.folder is not None else None
 
     @property
     def missing(self) -> Message | bool:
-        """Return whether the newest backup is too old; where the last attempt failed, the reason instead."""
+        """Whether the newest backup is too old; if the last attempt failed, the reason instead."""
         every = self._settings.every_s
         after_s = BACKUP_S if every is None else max(3600.0, 2.5 * every)
         return BACKUP_OVERDUE.holds(self.newest, self._clock(), after_s) and (self.failing or True)
 
     def next_due(self, now: UnixTime) -> UnixTime:
-        """Return when the next backup is due; not after ``now`` where it is to begin."""
+        """Return when the next backup is due; not after ``now`` if one should begin."""
         return next_due(now, self.written, self._failed, self._settings, self._zone)
 
     async def follow(self) -> None:
-        """Write a backup whenever one is due, without end: at once where there is none, or one is missing;
-        later where one failed."""
+        """Write a backup when one is due, until canceled: at once if there is none or one was missed; later
+        after a failure."""
         self.written = await asyncio.to_thread(newest_in, self._folder, self._clock(), self._zone)
         while True:
             await asyncio.sleep(LOOK_S)
@@ -90,8 +90,8 @@ class Backups:
                 await self.back_up()
 
     async def back_up(self) -> None:
-        """Write one now. That it failed is an event, once for each reason; that it was written is one after a
-        failure, and the first of a day."""
+        """Write a backup now. A failure is an event, once for each reason; a success is an event after a
+        failure, and for the first backup of a day."""
         begun = self._clock()
         try:
             name, about = await self._write()
@@ -112,9 +112,9 @@ class Backups:
         await self._events.record(kind="server", what=what, message=reason)
 
     async def _by_command(self) -> Written:
-        """Run ``lineside backup-store``. Raises FailedBackup with its complaint."""
+        """Run ``lineside backup-store``. Raise FailedBackup with its complaint."""
         if not self._folder.is_dir():
-            # A folder that is not there is not made, nor a file in its place: its disk may not be mounted.
+            # A missing folder is not created, nor a file in its place: its disk may not be mounted.
             raise FailedBackup(Message.of("backup_folder_missing", folder=str(self._folder)))
         words = (
             sys.executable,
@@ -146,7 +146,7 @@ class Backups:
 
 
 def left_out_of(written: Mapping[str, Any]) -> Message | None:
-    """Return what a backup lacks, by what ``lineside backup-store --json`` prints; None where all is."""
+    """Return the lacks of a backup by the JSON of ``lineside backup-store``; None if it has all."""
     lists = (("left_out", "backup_leaves_out"), ("events_absent", "backup_without_events"))
     lacking = [Message(code, {"files": files}) for name, code in lists if (files := written[name])]
     if written["damaged"]:
@@ -155,7 +155,7 @@ def left_out_of(written: Mapping[str, Any]) -> Message | None:
 
 
 def newest_in(folder: Path, now: UnixTime, zone: ZoneInfo) -> UnixTime | None:
-    """Return when the newest backup of a folder was begun. One of the future is of a clock that was wrong."""
+    """Return the start of a folder's newest backup. A future one comes from a wrong clock: ignored."""
     with suppress(OSError):
         times = (time_of(path.name, zone) for path in folder.iterdir())
         return max((begun for begun in times if begun is not None and begun <= now), default=None)

@@ -14,25 +14,25 @@ INTERVAL = r"^([1-9]|[1-5]\d) min$|^([1-9]|1\d|2[0-4]) h$"
 
 
 class BackupSettings(StrictModel):
-    """Whether, where and when this server backs itself up."""
+    """The folder, the times and the extent of this server's backups."""
 
     folder: Path | None = None
-    """Where the backups of this site are written, best on another computer; relative to the configuration,
-    absolute once loaded. None: there is no backup."""
+    """The folder for the backups of this site, best on another computer; relative to the configuration,
+    absolute once loaded. None: no backups."""
     at: Annotated[str, Field(pattern=CLOCK)] = "02:30"
-    """By the clock of the site, where ``every`` is not set."""
+    """The time of the daily backup by the clock of the site, if ``every`` is not set."""
     every: Annotated[str, Field(pattern=INTERVAL)] | None = None
-    """How often instead: ``"10 min"``, ``"1 h"``."""
+    """The interval of backups, such as ``"10 min"`` or ``"1 h"``."""
     keep: Annotated[int, Field(strict=True, ge=1, le=1000)] = 14
-    """Of so many days the last backup is kept, besides all of the last two hours, one per hour of a day, and
-    one per month of a year."""
+    """The days of which the last backup is kept, besides all of the last two hours, one per hour of a day,
+    and one per month of a year."""
     key_file: Path | None = None
-    """Encrypts the secret files of a backup, which else are not in it. Relative to the configuration,
-    absolute once loaded; not made by Lineside."""
+    """A key file that encrypts the secret files of a backup, which otherwise lacks them. Relative to the
+    configuration, absolute once loaded; not made by Lineside."""
 
     @property
     def every_s(self) -> float | None:
-        """Seconds between two backups; None: once a day."""
+        """The seconds between two backups; None: once a day."""
         if self.every is None:
             return None
         number, unit = self.every.split()

@@ -1,14 +1,14 @@
-"""What a backup holds: the stores of a site, and the files beside them.
+"""The contents of a backup: the stores of a site, and the files beside them.
 
 The main store is copied whole. History and pictures are taken apart: rows that never change again are
-exported once, as parts that many backups share, and what is left is a small frame.
+exported once, as parts that many backups share, and the rest is a small frame.
 
-The files are the configuration with its versions and what it names, such as the key of the audit log,
-certificates with their keys, and the files of passwords. In a backup they are one member, encrypted where
+The files are the configuration with its versions and the files that it names, such as the key of the audit
+log, certificates with their keys, and the files of passwords. In a backup they are one member, encrypted if
 ``[backup] key_file`` names a key: AES-256 in counter mode, sealed by HMAC-SHA-256. Without a key the member
-has the configuration and its versions alone. Its layout is 16 bytes of salt, 32 of the seal over the salt and
-the rest, then the rest. The keys of a backup are derived from the key file and from its salt, which no other
-backup has.
+has only the configuration and its versions. Its layout is 16 bytes of salt, 32 of the seal over the salt and
+the rest, then the rest. The keys of a backup come from the key file and from its salt, which no other backup
+has.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ from bus.instants import UnixTime
 from bus.messages import Message
 
 STORES = (HISTORY, STORE_FILE, PICTURES)
-"""In the order in which they are copied: a picture is stored before its note, so that each note of the copy
-has its pictures."""
+"""The order of copying: a picture is stored before its note, so that the copy has the pictures of each of its
+notes."""
 _OF_UNIT = "SELECT {0}.* FROM unit CROSS JOIN {0} ON {0}.unit = unit.id AND {1} >= :start AND {1} < :end"
 _BITS = (
     "SELECT bits.* FROM unit CROSS JOIN bits ON bits.unit = unit.id AND at >= coalesce("
@@ -53,7 +53,7 @@ _BITS = (
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """Parts of one kind: the store that they are of, and by table how the rows of one are selected."""
+    """A kind of parts: its store, and the query for the rows of each table."""
 
     store: str
     queries: Mapping[str, str]
@@ -78,21 +78,21 @@ KINDS = {
     "picture": Kind(PICTURES, {"picture": "SELECT * FROM picture WHERE rowid >= :start AND rowid < :end"}),
 }
 LENGTHS = {"minute": 10 * MINUTE, "hour": HOUR, "rest": HOUR}
-"""µs, as the store notes what changed."""
+"""The length of parts in µs, as the store notes changes."""
 TAKEN_APART = {
     store: {table for kind in KINDS.values() if kind.store == store for table in kind.queries}
     for store in (HISTORY, PICTURES)
 }
 CHANGED = "changed"
-"""The versions of the parts. They are not backed up: a restored part gets a version of its own."""
+"""The versions of the parts. They are not backed up: a restored part gets its own version."""
 _NOT_COPIED = {CHANGED, "figures"}
-"""Figures are worked out anew from what is restored."""
+"""Figures are computed again from the restored rows."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Rows of a store from ``start`` to ``end``: µs, or numbers of rows. Where ``version`` is the same, the
-    content is."""
+    """The rows of a store from ``start`` to ``end``: µs, or numbers of rows. An equal ``version`` means equal
+    content."""
 
     kind: str
     start: int
@@ -104,7 +104,7 @@ class Part:
         return f"{self.kind}-{self.start}-{self.end}"
 
     def export(self, store: sqlite3.Connection) -> bytes:
-        """Return the rows as a small database; nothing where there are none."""
+        """Return the rows as a small database; empty if there are none."""
         count, span = 0, {"start": self.start, "end": self.end}
         with closing(sqlite3.connect(":memory:")) as copy:
             # Rows of a few kB fill small pages better.
@@ -115,7 +115,7 @@ class Part:
 
 
 def parts_of(name: str, store: sqlite3.Connection, now: UnixTime) -> list[Part]:
-    """Return every part of a store, found without reading its content. Raises StoreError for a history that
+    """Return every part of a store, found without reading its content. Raise StoreError for a history that
     the running version has not yet brought up to date."""
     if name == PICTURES:
         rows = store.execute("SELECT rowid, digest FROM picture")
@@ -125,7 +125,7 @@ def parts_of(name: str, store: sqlite3.Connection, now: UnixTime) -> list[Part]:
     today = micros(now) - micros(now) % DAY
     versions: dict[tuple[str, int, int], list[tuple[int, int]]] = {}
     for kind, start, version in store.execute("SELECT kind, start, version FROM changed ORDER BY start"):
-        # A day that is over is one part; of the present day little is written again.
+        # A past day is one part; of the present day only a little is written again.
         length = DAY if kind == "rest" and start < today else LENGTHS[kind]
         begin = start - start % length
         versions.setdefault((kind, begin, begin + length), []).append((start, version))
@@ -133,7 +133,7 @@ def parts_of(name: str, store: sqlite3.Connection, now: UnixTime) -> list[Part]:
 
 
 def export_frame(name: str, store: sqlite3.Connection) -> bytes:
-    """Return a store without its parts: the definition of every table, and the rows of the small ones."""
+    """Return a store without its parts: each table's definition, and the rows of small tables."""
     with closing(sqlite3.connect(":memory:")) as frame:
         tables = _definitions(store, "table")
         for table, sql in tables.items():
@@ -146,8 +146,8 @@ def export_frame(name: str, store: sqlite3.Connection) -> bytes:
 
 
 def assemble(frame: Path, parts: Iterable[tuple[str, Path]], place: Path) -> None:
-    """Make a store at ``place``, an empty file, of a frame and its parts by key. Rows come before indexes and
-    triggers: that is faster, and restored rows are no changes."""
+    """Make a store at ``place``, an empty file, from a frame and its parts by key. Rows come before indexes
+    and triggers: that is faster, and restored rows do not count as changes."""
     with in_words(place), closing(sqlite3.connect(place.as_uri(), uri=True, isolation_level=None)) as store:
         for setting in ("auto_vacuum = INCREMENTAL", "journal_mode = OFF", "synchronous = OFF"):
             store.execute(f"PRAGMA {setting}")
@@ -191,12 +191,12 @@ def _copy_rows(rows: sqlite3.Cursor, copy: sqlite3.Connection, table: str, *, is
 
 
 def copy_store(store: Path, copy: Path) -> None:
-    """Copy a store as it is at one instant, while others write it. Raises StoreError, also for a damaged
-    one: it could not be put back."""
+    """Copy a store as it is at one instant, while others write it. Raise StoreError, also for a damaged
+    store, which could not be restored."""
     make_file(copy)
     with in_words(store), closing(open_for_reading(store)) as live, closing(sqlite3.connect(copy)) as target:
         live.execute("SELECT 1 FROM sqlite_master").fetchall()
-        # What fails from here on is the disk of the copy.
+        # A failure from here on comes from the disk of the copy.
         with in_words(copy):
             live.backup(target)
             fault = fault_of(target)
@@ -205,18 +205,18 @@ def copy_store(store: Path, copy: Path) -> None:
 
 
 def fault_of(store: sqlite3.Connection) -> str:
-    """Return the first fault that SQLite finds; empty: the store is sound."""
+    """Return the first fault that SQLite finds; empty if the store is sound."""
     (result,) = store.execute("PRAGMA quick_check(1)").fetchone()
     return "" if result == "ok" else str(result)
 
 
 def site_of(store: sqlite3.Connection) -> str | None:
-    """Return what tells a site from others. None: an earlier version made the store."""
+    """Return the identity of a store's site; None if an earlier version made the store."""
     return read_identity(store) if has_table(store, "publisher_identity") else None
 
 
 def archived_in(store: Path) -> dict[str, str]:
-    """Return the SHA-256 of each file of archived events that a log names, by its name."""
+    """Return the SHA-256 of each file of archived events that a log names, by name."""
     with examining(store) as connection:
         return {cut.file: cut.digest for cut in cuts_of(connection)}
 
@@ -224,11 +224,11 @@ def archived_in(store: Path) -> dict[str, str]:
 MIN_KEY_CHARACTERS, MAX_KEY_BYTES = 32, 4096
 SALT_BYTES, SEAL_BYTES = 16, 32
 PBKDF2_ROUNDS = 10_000
-"""As ``openssl enc -pbkdf2`` has them, which version 0.2 called. The password is random, and not guessed."""
+"""The rounds of ``openssl enc -pbkdf2``, which version 0.2 called; the password is random."""
 
 
 def read_key(file: Path) -> bytes:
-    """Return the key of a file, without the white space around it. Raises StoreError where it is none."""
+    """Return the key in a file, without white space around it. Raise StoreError if there is none."""
     try:
         with file.open("rb") as opened:
             key = opened.read(MAX_KEY_BYTES).strip()
@@ -248,7 +248,7 @@ def encrypt(content: bytes, key: bytes) -> bytes:
 
 
 def decrypt(packed: bytes, key: bytes) -> bytes:
-    """Decrypt what was encrypted. Raises StoreError where it was so under another key, or was altered."""
+    """Decrypt a packed content. Raise StoreError if it has another key or was altered."""
     salt, seal, hidden = (
         packed[:SALT_BYTES],
         packed[SALT_BYTES:][:SEAL_BYTES],
@@ -271,7 +271,7 @@ def _seal(key: bytes, salt: bytes, hidden: bytes) -> bytes:
 
 def _counted(content: bytes, password: bytes) -> bytes:
     """Encrypt or decrypt in counter mode, in which both are the same."""
-    # Not with the module: a server whose backups have no key does without the memory that it takes.
+    # Imported only here: a server whose backups have no key saves the memory of the module.
     from cryptography.hazmat.primitives.ciphers import Cipher
     from cryptography.hazmat.primitives.ciphers.algorithms import AES256
     from cryptography.hazmat.primitives.ciphers.modes import CTR
@@ -283,19 +283,19 @@ def _counted(content: bytes, password: bytes) -> bytes:
 IN_CLEAR, ENCRYPTED = "files.json", "files.encrypted"
 MAX_FILE_BYTES = 4 * 2**20
 MAX_BYTES = 64 * 2**20
-"""Of the member."""
+"""The most bytes of the member."""
 
 
 class SiteFile(msgspec.Struct):
-    """``path``: where it was, absolute."""
+    """A file of a site. ``path``: its absolute path in the site."""
 
     path: str
     content: bytes
 
 
 class SiteFiles(msgspec.Struct):
-    """What a backup has of a site beside its stores. ``left_out``: the files that it has not, as there is no
-    key to encrypt them."""
+    """The files of a site in a backup. ``left_out``: files that it lacks, as there is no key to encrypt
+    them."""
 
     member: str
     content: bytes
@@ -303,8 +303,8 @@ class SiteFiles(msgspec.Struct):
 
 
 def files_of(settings: Settings) -> SiteFiles:
-    """Read the files of a site as the member of a backup. Raises StoreError, also where the key of the
-    backups is in their folder: who has one then has the other."""
+    """Read the files of a site as the member of a backup. Raise StoreError, also if the key of the backups is
+    in their folder: a person with one would have the other."""
     configuration = [settings._file] if settings._file is not None else []
     configuration += VersionStore(settings.server.data).files
     named = sorted({path for path in _named(settings) if path.is_file()} - {settings.backup.key_file})
@@ -318,8 +318,8 @@ def files_of(settings: Settings) -> SiteFiles:
 
 
 def place_files(member: str, content: bytes, key_file: Path | None, folder: Path) -> list[Path]:
-    """Write the files of a backup below a folder, which must not exist yet, each under the path that it had.
-    Raises StoreError, also for a path that leads out of the folder."""
+    """Write the files of a backup below a folder, which must not exist yet, each under its path. Raise
+    StoreError, also for a path that leads out of the folder."""
     if member == ENCRYPTED:
         if key_file is None:
             raise StoreError(Message("backup_needs_key"))
@@ -365,7 +365,7 @@ def _packed(paths: Sequence[Path]) -> bytes:
 
 
 def _below(folder: Path, path: str) -> Path:
-    """Return where a path of a backup is below the folder: anyone may have forged it."""
+    """Return the place below the folder for a path of a backup, which may be forged."""
     pure = PurePosixPath(path)
     if not pure.is_absolute() or ".." in pure.parts or "\0" in path:
         raise StoreError(Message("backup_files_damaged"))

@@ -49,14 +49,14 @@ from bus.validation import OneLine
 
 
 def act_on(place: TablePlace) -> Act:
-    """Return what a person must be permitted to do."""
+    """Return the act that a person must be permitted."""
     return CHANGE_MAIL if place.form.kind in ("notify", "smtp") else CHANGE
 
 
 def edit_of(place: TablePlace, kind: str, texts: Mapping[str, str]) -> Edit:
-    """Return the edit of a request by its ``kind``: ``change`` sets keys to what was typed, ``remove``
-    removes the table, ``up`` exchanges it with the one before it. Raises Problem 422 for what cannot be done
-    with the table."""
+    """Return the edit of a request by its ``kind``: ``change`` sets keys to typed values, ``remove`` removes
+    the table, ``up`` exchanges it with the table before it. Raise Problem 422 for an edit that does not fit
+    the table."""
     if kind == "change":
         return lambda text: _changed(text, place, texts)
     if kind == "remove" and place.form.is_listed:
@@ -84,7 +84,7 @@ VersionNumber = Annotated[int, Path(ge=1, le=2**31, description="Number of a ver
 
 
 class ConfigurationTable(TypedDict):
-    """A table of the file that is changed here; ``values`` has those keys that are set, dotted."""
+    """A table of the file that can be changed here; ``values``: the keys that are set, dotted."""
 
     name: str
     kind: TableKind
@@ -92,7 +92,7 @@ class ConfigurationTable(TypedDict):
 
 
 class ConfigurationShown(TypedDict):
-    """The file. ``running``: whether the server runs with what it has; else the file takes effect at the next
+    """The configuration file. ``running``: whether the server runs with it; else it takes effect at the next
     start. ``faults``: why the server would not start with it."""
 
     file: str
@@ -107,42 +107,42 @@ class ConfigurationShown(TypedDict):
 
 
 class ConfigurationVersions(TypedDict):
-    """Those that are kept, newest first."""
+    """The versions that are kept, newest first."""
 
     versions: list[ConfigurationVersion]
     next: None
 
 
 class ConfigurationSince(TypedDict):
-    """A version, and how the file differs from it by now."""
+    """A version, and the difference of the present file from it."""
 
     version: ConfigurationVersion
     difference: list[DifferenceLine]
 
 
 class ConfigurationChange(TypedDict):
-    """What was written, or with ``review`` would be; ``version``: null for a review."""
+    """The change that was written, or (``review``) would be; ``version``: null for a review."""
 
     version: ConfigurationVersion | None
     difference: list[DifferenceLine]
 
 
 class RestartRequest(StrictBody):
-    """The server restarts with the text of the file that has this digest, and no other."""
+    """A restart with the text of the file that has this digest, and no other."""
 
     digest: FileDigest
     reason: Annotated[OneLine, Field(max_length=MAX_REASON, description="Why, for the audit log.")] = ""
 
 
 class ConfigurationRollBackRequest(RestartRequest):
-    """``review``: nothing is written."""
+    """A way back to a version. ``review``: nothing is written."""
 
     review: bool = False
 
 
 class ConfigurationChangeRequest(ConfigurationRollBackRequest):
-    """``values``: keys to set, dotted, such as ``labels.output.1``; null removes one. ``act``: instead remove
-    the table, or exchange a unit with the one before it."""
+    """A change of a table. ``values``: keys to set, dotted, such as ``labels.output.1``; null removes a key.
+    ``act``: remove the table instead, or exchange a unit with the one before it."""
 
     act: Literal["change", "remove", "up"] = "change"
     values: Annotated[dict[str, SetValue | None], Field(max_length=60, default_factory=dict)]
@@ -167,7 +167,7 @@ async def get_configuration(_: Engineer, file: FileOfServer) -> ConfigurationSho
 async def change_configuration(
     person: ConfigurationChanger, file: FileOfServer, table_name: TableName, body: ConfigurationChangeRequest
 ) -> ConfigurationChange:
-    """Change a table. A name with the index behind the last one adds it."""
+    """Change a table. A name with the index after the last one adds a table."""
     place = place_or_404(table_name, (await file.present()).data)
     known = [field.key for field in place.form.fields]
     for key in body.values:
@@ -180,7 +180,7 @@ async def change_configuration(
 
 @router.get("/versions")
 async def get_configuration_versions(_: Engineer, file: FileOfServer) -> ConfigurationVersions:
-    """List the versions of the file, with who wrote them and when."""
+    """List the versions of the file, with author and time."""
     return {"versions": await file.versions(), "next": None}
 
 
@@ -188,7 +188,7 @@ async def get_configuration_versions(_: Engineer, file: FileOfServer) -> Configu
 async def get_configuration_version(
     _: Engineer, file: FileOfServer, version_number: VersionNumber
 ) -> ConfigurationSince:
-    """Return a version, and how the file differs from it by now. Secrets are masked."""
+    """Return a version, and the difference of the present file from it. Secrets are masked."""
     stored, present = await file.version(version_number), await file.present()
     return {"version": stored.version, "difference": difference(stored.text, present.text)}
 
@@ -200,7 +200,7 @@ async def roll_back_configuration(
     version_number: VersionNumber,
     body: ConfigurationRollBackRequest,
 ) -> ConfigurationChange:
-    """Write the text of a version, as a version itself."""
+    """Write the text of a version as a new version."""
     stored = await file.version(version_number)
     return await _done(person, file, ROLL_BACK, lambda _: stored.text, body)
 
@@ -209,7 +209,7 @@ async def roll_back_configuration(
 async def restart_server(
     person: Annotated[Person, RESTART.permitted], restart: RestartOfServer, body: RestartRequest
 ) -> None:
-    """Restart the server with what the file has. The drives keep their speed; for a few seconds they are
+    """Restart the server with the present file. The drives keep their speed; for a few seconds they are
     neither monitored nor commanded."""
     await restart.request(person, body.digest, body.reason)
 

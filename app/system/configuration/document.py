@@ -1,8 +1,8 @@
-"""Changes the text of the configuration file, compares it and keeps its versions.
+"""The text of the configuration file: changes of it, comparisons, and versions.
 
-Only what is to change is changed: comments, order and blank lines stay. Each result is read again and
-compared with what it should hold. A comparison goes line by line and leaves secrets out. Each version is a
-file of the data folder, readable by the server's user alone.
+Only the requested lines change: comments, order and blank lines stay. Each result is read again and compared
+with the wanted content. A comparison goes line by line and leaves secrets out. Each version is a file of the
+data folder that only the server's user can read.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from bus.messages import Message
 
 TomlValue = str | bool | int | float | date | list[Any]
 Edit = Callable[[str], str]
-"""Makes the new text of the file from the present one. Raises CallerError."""
+"""A function that makes the new text of the file from the present one; it may raise CallerError."""
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 class WrittenOtherwiseError(CallerError):
-    """The file is correct, but written in a way that is not changed here, such as an inline table."""
+    """Raised for a correct file in a notation that is not changed here, such as an inline table."""
 
     def __init__(self) -> None:
         super().__init__(Message("configuration_written_otherwise"))
 
 
 def content_of(text: str) -> Any:
-    """Return what a text holds; None where it is no TOML."""
+    """Return the content of a text; None if it is not TOML."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError):
@@ -51,7 +51,7 @@ def content_of(text: str) -> Any:
 
 
 def at(data: Any, path: KeyPath) -> Any:
-    """Return what a path leads to; None where it is not there."""
+    """Return the value at a path; None if there is none."""
     for step in path:
         try:
             data = data[step]
@@ -61,8 +61,8 @@ def at(data: Any, path: KeyPath) -> Any:
 
 
 def with_values(text: str, table: KeyPath, changes: Mapping[str, TomlValue | None]) -> str:
-    """Set keys of a table, by their dotted names; None removes one. A table that is not there is added: one
-    of an array where the path ends with the number of those that are there. Raises WrittenOtherwiseError."""
+    """Set keys of a table, by their dotted names; None removes a key. A missing table is added: to an array
+    if the path ends with the number of its elements. Raise WrittenOtherwiseError."""
     data = tomllib.loads(text)
     wanted = _data_with(data, table, changes)
     if at(data, table) is None and isinstance(table[-1], int):
@@ -74,7 +74,7 @@ def with_values(text: str, table: KeyPath, changes: Mapping[str, TomlValue | Non
 
 
 def without(text: str, table: KeyPath) -> str:
-    """Remove an element of an array, with the comment directly above it. Raises WrittenOtherwiseError."""
+    """Remove an element of an array, with the comment directly above it. Raise WrittenOtherwiseError."""
     wanted = tomllib.loads(text)
     array, index = at(wanted, table[:-1]), table[-1]
     if not isinstance(array, list) or not isinstance(index, int) or at(wanted, table) is None:
@@ -90,7 +90,7 @@ def without(text: str, table: KeyPath) -> str:
 
 
 def moved_up(text: str, table: KeyPath) -> str:
-    """Exchange an element of an array with the one before it, each with its comment. Raises
+    """Exchange an element of an array with the element before it, each with its comment. Raise
     WrittenOtherwiseError."""
     data = tomllib.loads(text)
     array, index = at(data, table[:-1]), table[-1]
@@ -123,7 +123,7 @@ def _checked(text: str, wanted: Any) -> str:
 
 
 def _without_empty(value: Any) -> Any:
-    """Leave out tables in which nothing is: a header is as good as none."""
+    """Leave out empty tables: a header alone counts as none."""
     if isinstance(value, dict):
         inner = {key: _without_empty(each) for key, each in value.items()}
         return {key: each for key, each in inner.items() if each != {}}
@@ -175,8 +175,7 @@ def _with_value(text: str, table: KeyPath, key: tuple[str, ...], value: TomlValu
 
 
 def _with_element(text: str, table: KeyPath, values: Mapping[str, TomlValue | None]) -> str:
-    """Put a new element of an array behind the last one, else behind what it is in, else to the
-    end."""
+    """Put a new element of an array after its last one, else after the enclosing table, else at the end."""
     lines, end = lines_of(text), None
     if table[-1]:
         end = _block(lines, text, (*table[:-1], int(table[-1]) - 1))[1]
@@ -190,8 +189,8 @@ def _with_element(text: str, table: KeyPath, values: Mapping[str, TomlValue | No
 
 
 def _block(lines: list[str], text: str, table: KeyPath) -> tuple[int, int]:
-    """Return the lines (from 0, the last excluded) of a table with all in it, the comment directly above its
-    header, and the one directly below its last key where nothing else follows directly."""
+    """Return the lines (from 0, the last excluded) of a table with its content, the comment directly above
+    its header, and the comment directly below its last key if only a blank line follows."""
     within = [each for each in statements(text) if each.paths[0][: len(table)] == table]
     if not within or not within[0].is_header:
         raise WrittenOtherwiseError
@@ -221,14 +220,14 @@ def _newline(lines: list[str]) -> str:
 
 
 def _replaced(statement: str, value: TomlValue) -> str:
-    """Return a statement with another value: its key and the comment behind it stay. The text before that
-    comment is a statement itself, which no text before another number sign is."""
+    """Return a statement with another value: its key and the comment after it stay. The text before that
+    comment is a statement by itself, unlike the text before any other number sign."""
     content, newline = tomllib.loads(statement), statement[len(statement.rstrip("\r\n")) :]
     for place in (index for index, sign in enumerate(statement) if sign == "#"):
         try:
             is_all = tomllib.loads(statement[:place]) == content
         except tomllib.TOMLDecodeError:
-            # Before it an array is open: a comment in there would be lost.
+            # Here an array is still open: a comment in it would be lost.
             if "\n" in statement[:place]:
                 raise WrittenOtherwiseError from None
             continue
@@ -252,15 +251,15 @@ def _dotted(path: Any) -> str:
 
 
 CONTEXT = 2
-"""Lines that are shown around a change."""
+"""The number of lines that are shown around a change."""
 _IN_URL = re.compile(r"(\w+://)[^\s/@\"']*@")
 _KEY = secrets.token_bytes(16)
-"""Another one in each run, so that the digest of a simple password cannot be looked up."""
+"""A new key in each run, so that the digest of a simple password cannot be looked up."""
 
 
 @dataclass(frozen=True, slots=True)
 class DifferenceLine:
-    """A line of a difference; of a ``gap`` lines are left out."""
+    """A line of a difference; a ``gap`` stands for lines that are left out."""
 
     kind: Literal["same", "gone", "new", "gap"]
     number: Annotated[int, Field(description="In the new text; of a line that is gone, in the old one.")]
@@ -268,8 +267,8 @@ class DifferenceLine:
 
 
 def masked(text: str) -> str:
-    """Return the text as people see it: of each key that may hold a secret only whether it changes, also in a
-    comment. The file of a secret is no secret."""
+    """Return the text for people: of each key that may hold a secret they only see whether it changes, also
+    in a comment. A secret's file name is no secret."""
     lines, open_statement = [], ""
     for line in _bare_lines(text):
         statement = f"{open_statement}{line}\n"
@@ -282,7 +281,7 @@ def masked(text: str) -> str:
 
 
 def difference(before: str, now: str) -> list[DifferenceLine]:
-    """Return the lines that differ, each with those around it; of secrets, that they differ."""
+    """Return the differing lines with the lines around them; of secrets, only that they differ."""
     return list(_lines(_bare_lines(masked(before)), _bare_lines(masked(now))))
 
 
@@ -319,16 +318,16 @@ def _is_complete(statement: str) -> bool:
 
 
 FOLDER = "configuration"
-"""In the data folder."""
+"""The folder of versions in the data folder."""
 MAX_VERSIONS = 100
-"""The newest are kept."""
+"""The number of newest versions that are kept."""
 VersionOrigin = Literal["found", "by_hand", "changed", "rolled_back"]
 
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationVersion:
-    """A version without its text. ``origin``: the first one was ``found``; ``by_hand``: changed in the file
-    itself, by then at the latest. ``who`` and ``reason``: empty for these two."""
+    """A version without its text. ``origin``: the first version was ``found``; ``by_hand``: changed in the
+    file itself, at this time or before. ``who`` and ``reason``: empty for these two."""
 
     number: Annotated[int, Field(description="From 1.")]
     at: InstantObject
@@ -347,23 +346,23 @@ class StoredVersion:
 
 
 class VersionStore:
-    """The versions of the file, in a folder. Its methods raise OSError where one cannot be written."""
+    """The store of versions, in a folder. Its methods raise OSError if a version cannot be written."""
 
     def __init__(self, data: Path) -> None:
         self._folder = data / FOLDER
 
     def newest(self) -> StoredVersion | None:
-        """Return the last one; None where there is none."""
+        """Return the last version; None if there is none."""
         numbers = self._numbers()
         return self.one(numbers[0]) if numbers else None
 
     def every(self) -> list[StoredVersion]:
-        """Return those that are kept, newest first; without one that cannot be read."""
+        """Return the kept versions that can be read, newest first."""
         found = (self.one(number) for number in self._numbers())
         return [each for each in found if each is not None]
 
     def one(self, number: int) -> StoredVersion | None:
-        """Return a version; None where it is not kept, or cannot be read."""
+        """Return a version; None if it is not kept, or cannot be read."""
         try:
             return msgspec.json.decode(self._file(number).read_bytes(), type=StoredVersion)
         except (OSError, msgspec.MsgspecError):
@@ -371,7 +370,7 @@ class VersionStore:
 
     @property
     def files(self) -> list[Path]:
-        """Where they are, oldest first."""
+        """The files of the versions, oldest first."""
         return [self._file(number) for number in reversed(self._numbers())]
 
     def next_number(self) -> int:
@@ -379,7 +378,7 @@ class VersionStore:
         return max(self._numbers(), default=0) + 1
 
     def add(self, stored: StoredVersion) -> None:
-        """Write one, on disk when this returns; the oldest beyond `MAX_VERSIONS` go."""
+        """Write a version, on disk when this returns; remove the oldest beyond `MAX_VERSIONS`."""
         make_folder(self._folder)
         write_file(self._file(stored.version.number), msgspec.json.encode(stored))
         for number in self._numbers()[MAX_VERSIONS:]:

@@ -1,5 +1,5 @@
-"""The pages of the configuration: its tables, one of them to change, its versions; and the page of a bus, or
-of a new one: its port, a scan of it, its units."""
+"""The pages of the configuration: its tables, one table to change, its versions; and the page of a present or
+new bus: its port, a scan of the port, its units."""
 
 from __future__ import annotations
 
@@ -80,13 +80,12 @@ Digest = Annotated[str, Form(max_length=64)]
 _WORDS = {day: Message(f"day_{number}") for number, day in enumerate(DAYS)} | {
     code: Message(CONDITIONS[code].texts[0]) for code in ALARM_CODES
 }
-"""Of the choices of a field."""
+"""The texts of a field's choices."""
 ReasonOfChange = Annotated[OneLine, Form(max_length=MAX_REASON)]
 
 
 class ShownTable(NamedTuple):
-    """A table of the list: where it is, what it is called, and its keys with what the file has, empty where
-    it has none."""
+    """A table of the list: its place, its title, and its keys with their texts (empty if not set)."""
 
     place: TablePlace
     title: str
@@ -105,8 +104,8 @@ async def configuration_page(
     field: Annotated[str, Query(max_length=80)] = "",
     restarting: bool = False,
 ) -> Response:
-    """Show the tables of the file, what it lacks, and its newest versions. ``done``: the version just
-    written; ``changed`` and ``field``: the row that shows it."""
+    """Show the tables of the file, its faults, and its newest versions. ``done``: the version just written;
+    ``changed`` and ``field``: the row that shows it."""
     try:
         present = await file.present()
     except Problem as problem:
@@ -154,8 +153,8 @@ async def change_configuration_table(
     name: str,
     reason_of_change: ReasonOfChange = "",
 ) -> Response:
-    """Review what was typed; with ``confirmed`` write it. A file that was changed meanwhile is shown as it is
-    now, with what was typed."""
+    """Review the typed values; with ``confirmed`` write them. If the file was changed meanwhile, show its
+    present values with the typed ones."""
     form = await request.form()
     try:
         return await _changed(request, person, file, name, form, reason_of_change)
@@ -194,7 +193,7 @@ async def _changed(
 
 
 def _written(request: Request, version: int, place: str = "", field: str = "") -> Response:
-    """Return to the list, at the row of the table, bus or ``field`` that was changed."""
+    """Return to the list, at the row of the changed table, bus or ``field``."""
     path = f"/configuration?done={version}" + (f"&changed={place}" if place else "")
     path += f"&field={field}" if field else ""
     if is_fragment(request):
@@ -206,7 +205,7 @@ def _written(request: Request, version: int, place: str = "", field: str = "") -
 async def configuration_version_page(
     request: Request, _: ConfigurationChanger, file: FileOfServer, number: int
 ) -> Response:
-    """Show what was changed since a version, until now."""
+    """Show the changes from a version to the present file."""
     stored, present = await file.version(number), await file.present()
     return render(
         request,
@@ -227,7 +226,7 @@ async def roll_back_configuration_page(
     reason_of_change: ReasonOfChange = "",
     confirmed: Annotated[str, Form()] = "",
 ) -> Response:
-    """Review the way back to a version; with ``confirmed`` write it, as a version itself."""
+    """Review the way back to a version; with ``confirmed`` write it as a new version."""
     stored, present = await file.version(number), await file.present()
     review = await file.review(lambda _: stored.text, digest)
     if confirmed and not review.faults:
@@ -253,7 +252,7 @@ def review_page(
     action: str,
     fields: Mapping[str, str],
 ) -> Response:
-    """Show what the file would become; ``fields`` are posted to ``action`` again when it is confirmed."""
+    """Show the file as it would become; confirming posts ``fields`` to ``action`` again."""
     shown = masked(review.text)
     return render(
         request,
@@ -304,7 +303,7 @@ def _form(
 
 
 async def _superseded(request: Request, file: ConfigurationFile, name: str, form: FormData) -> Response:
-    """Return what was typed, over the file as it is now: what was not changed here is as in the file."""
+    """Show the typed values on top of the present file; values not typed here come from the file."""
     present, began = await file.present(), await file.version_of(_text_in(form, "digest"))
     before = content_of(began.text) if began else present.data
     place = place_or_404(name, before)
@@ -330,7 +329,7 @@ async def _superseded(request: Request, file: ConfigurationFile, name: str, form
 def _faults_by_field(
     place: TablePlace, review: ConfigurationReview
 ) -> tuple[dict[str, Message], tuple[Message, ...]]:
-    """Return the faults that are of a key of the form, and the others with their line."""
+    """Return the faults by key of the form, and the other faults with their line."""
     lines = {each.first: each.paths for each in statements(review.text) if not each.is_header}
     errors, others = {}, []
     for fault in review.faults:
@@ -345,8 +344,8 @@ def _faults_by_field(
 
 
 def _typed(request: Request, place: TablePlace, form: FormData) -> dict[str, str]:
-    """Return what was typed, by key. A field of several choices has each that was chosen; a number may have
-    the decimal comma of the reader."""
+    """Return the typed values by key. A field with several choices has each chosen one; a number may have the
+    decimal comma of the reader."""
     templates = templates_of(request)
     formats: Formats = templates.formats(templates.language_of(request).tag)
     texts = {}
@@ -372,7 +371,7 @@ bus_router = APIRouter(prefix="/configuration/bus", include_in_schema=False, rou
 
 MAX_UNITS_TEXT = 20_000
 _DEFAULTS = {"baud": BusSettings.model_fields["baud"].default}
-"""Of what the form always has: a file that leaves it out is left so."""
+"""The defaults of keys that the form always has: a file without such a key stays so."""
 _UNIT = re.compile(r"(\d{1,3})[\s,;:.]+(\S.*)")
 Changer = Annotated[Person, CHANGE_PORTS.permitted]
 Scan = Annotated[PortScan, service(PortScan)]
@@ -382,7 +381,7 @@ Index = Annotated[int, Path(ge=0, le=999)]
 
 @bus_router.get("/{index}")
 async def bus_page(request: Request, _: Changer, file: FileOfServer, scan: Scan, index: Index) -> Response:
-    """Show the form of a bus; the index behind the last one is that of a new one."""
+    """Show the form of a bus; the index after the last one is a new bus."""
     present = await file.present()
     return _bus_form(request, present, scan, index, _texts_of(present, scan, index))
 
@@ -391,7 +390,7 @@ async def bus_page(request: Request, _: Changer, file: FileOfServer, scan: Scan,
 async def scan_port(
     _: Changer, file: FileOfServer, scan: Scan, index: Index, act: Short, port: Short = ""
 ) -> Response:
-    """Begin a scan of a port, or end it. The page shows why one is refused."""
+    """Begin a scan of a port, or end it. The page shows why a scan is refused."""
     present, port = await file.present(), port.strip()
     if act == "stop":
         await scan.stop()
@@ -409,7 +408,7 @@ async def scan_port(
 
 @bus_router.get("/{index}/scan")
 async def scan_state(_: Changer, scan: Scan, index: Index) -> Response:
-    """Send the page to what was found, once the scan has ended."""
+    """Send the page to the results once the scan has ended."""
     if scan.is_running:
         return Response(status_code=204)
     return Response(headers={"HX-Redirect": f"/configuration/bus/{index}"})
@@ -430,7 +429,7 @@ async def change_bus(
     confirmed: Annotated[str, Form(max_length=10)] = "",
     reason_of_change: ReasonOfChange = "",
 ) -> Response:
-    """Review the bus that was typed; with ``confirmed`` write it."""
+    """Review the typed bus; with ``confirmed`` write it."""
     texts = {"name": name.strip(), "port": port.strip(), "baud": baud, "units": units}
     present = await file.present()
     _refuse_beyond(present, index)
@@ -453,8 +452,8 @@ async def change_bus(
 
 
 def bus_edit(index: int, values: Mapping[str, TomlValue], units: list[tuple[int, str]]) -> Edit:
-    """Return the edit that gives a bus these values and units: one whose address is not listed any more is
-    removed, a new one comes behind the last."""
+    """Return the edit that gives a bus these values and units: a unit whose address is no longer listed is
+    removed, a new unit comes after the last."""
 
     def edit(text: str) -> str:
         bus = at(tomllib.loads(text), ("bus", index)) or {}
@@ -477,8 +476,8 @@ def bus_edit(index: int, values: Mapping[str, TomlValue], units: list[tuple[int,
 
 
 def units_typed(text: str) -> list[tuple[int, str]]:
-    """Return address and name of each line that is not empty. Raises CallerError for one without both, and
-    for an address that is given twice."""
+    """Return address and name of each line that is not empty. Raise CallerError for a line without both, and
+    for a repeated address."""
     found: dict[int, str] = {}
     for line in filter(None, map(str.strip, text.splitlines())):
         match = _UNIT.fullmatch(line)
@@ -499,7 +498,7 @@ def _inner(fault: Message) -> Message:
 
 
 def _values(texts: Mapping[str, str], scan: PortScan) -> dict[str, TomlValue]:
-    """Return what was typed, with the settings that a scan of this port has shown."""
+    """Return the typed values with the settings that a scan of this port has shown."""
     found = scan.found if scan.found is not None and scan.port == texts["port"] else {}
     settings = {key: value for key, value in found.items() if key != "unit"}
     baud = int(texts["baud"]) if texts["baud"].isdecimal() else texts["baud"]
@@ -516,7 +515,7 @@ def _refuse_beyond(present: PresentFile, index: int) -> None:
 
 
 def _texts_of(present: PresentFile, scan: PortScan, index: int) -> dict[str, str]:
-    """Return what the file has; of a new bus the next name, and what the scan has found."""
+    """Return the texts of the form; for a new bus the next name, and the results of the scan."""
     buses = buses_of(present)
     names = {bus.get("name") for bus in buses}
     new = {"name": next(f"line-{n}" for n in range(1, len(names) + 2) if f"line-{n}" not in names)}

@@ -1,4 +1,4 @@
-"""The serial ports of this machine, and a scan of one that no bus has yet, by ``lineside scan``."""
+"""The serial ports of this machine, and a scan of a port without a bus by ``lineside scan``."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def adapters(folder: Path = BY_ID) -> list[str]:
 
 
 def ports(by_id: Path = BY_ID, devices: Path = DEVICES) -> list[str]:
-    """Return the ports that a bus may be on: adapters by their lasting paths, else by the names that they
-    have now; then what is built in."""
+    """Return the ports that a bus may use: adapters by their lasting paths, else by their present names; then
+    built-in ports."""
     plugged = adapters(by_id) or sorted(
         str(each) for kind in ("ttyUSB", "ttyACM") for each in devices.glob(f"{kind}*")
     )
@@ -35,8 +35,8 @@ def ports(by_id: Path = BY_ID, devices: Path = DEVICES) -> list[str]:
 
 
 class PortScan:
-    """One scan at a time, in a process of its own: the server opens no port. ``found``: the ``[[bus]]`` that
-    it led to; ``fault``: why there is none."""
+    """The scan of a port, one at a time, in a process of its own: the server opens no port. ``found``: the
+    resulting ``[[bus]]``; ``fault``: why there is none."""
 
     def __init__(self) -> None:
         self.port = ""
@@ -49,14 +49,14 @@ class PortScan:
         return self._task is not None and not self._task.done()
 
     def start(self, port: str) -> None:
-        """Begin a scan; what a former one found is forgotten. Raises Problem 409 while one runs."""
+        """Begin a scan; forget the result of the former. Raise Problem 409 while one runs."""
         if self.is_running:
             raise Problem(409, "not_in_state", Message.of("port_scan_runs", port=self.port))
         self.port, self.found, self.fault = port, None, None
         self._task = asyncio.create_task(self._scan(port))
 
     def refuse(self, port: str, fault: Message) -> None:
-        """Note why a port is not scanned. Nothing while a scan runs."""
+        """Note why a port is not scanned. Do nothing while a scan runs."""
         if not self.is_running:
             self.port, self.found, self.fault = port, None, fault
 
@@ -80,7 +80,7 @@ class PortScan:
                 await process.wait()
         try:
             document = json.loads(output)
-        except ValueError:  # it ended early, such as for want of memory
+        except ValueError:  # it ended early, such as for lack of memory
             *_, reason = errors.decode(errors="replace").splitlines() or [f"exit code {process.returncode}"]
             self.fault = Message.of("port_scan_failed", reason=reason)
             return

@@ -1,4 +1,4 @@
-"""Reads, reviews and writes the configuration file of this server, and restarts it with the new one."""
+"""The service that reads, reviews and writes this server's configuration file, and restarts it."""
 
 from __future__ import annotations
 
@@ -35,29 +35,29 @@ from bus.messages import Message
 
 CHANGE = Act("change_configuration", Role.ENGINEER, "configuration", "event_configuration_edited")
 CHANGE_MAIL = Act("change_mail_server", Role.ADMIN, "configuration", "event_configuration_edited")
-"""The server sends its password to the mail server that is named here, and the links in its mails lead
-people to the address of the dashboard."""
+"""The server sends its password to the mail server that is named here, and the links in its mails lead people
+to the address of the dashboard."""
 CHANGE_PORTS = Act("change_ports", Role.ADMIN, "configuration", "event_configuration_edited")
 """The server opens the devices and hosts that are named here."""
 ROLL_BACK = Act("roll_back_configuration", Role.ADMIN, "configuration", "event_configuration_rolled_back")
-"""It may change everything, also what only the file has."""
+"""A version may change everything, also keys that only the file has."""
 RESTART = Act("restart_server", Role.ADMIN, "server", "event_restart_requested")
 """For a few seconds no drive of the server is monitored."""
 ACTS = (CHANGE, CHANGE_MAIL, CHANGE_PORTS, ROLL_BACK, RESTART)
 
 
 MAX_EVENT = 2000
-"""Characters of a difference in the audit log."""
+"""The most characters of a difference in the audit log."""
 log = structlog.get_logger()
 
 
 class FileChangedError(LinesideError):
-    """The file was changed by hand while it was about to be replaced."""
+    """Raised if the file was changed by hand just before it was replaced."""
 
 
 class PresentFile(NamedTuple):
-    """The file as it is now. ``data``: its content, None where it is no TOML; ``faults``: why the server
-    would not start with it; ``is_running``: whether the server runs with what it has."""
+    """The present file. ``data``: its content, None if it is not TOML; ``faults``: why the server would not
+    start with it; ``is_running``: whether the server runs with it."""
 
     text: str
     digest: str
@@ -68,7 +68,7 @@ class PresentFile(NamedTuple):
 
 
 class ConfigurationReview(NamedTuple):
-    """What the file would become; with ``faults`` it is not written."""
+    """The file as it would become; with ``faults`` it is not written."""
 
     text: str
     lines: list[DifferenceLine]
@@ -76,12 +76,12 @@ class ConfigurationReview(NamedTuple):
 
 
 class SystemsBeside(list[Callable[[], Message]]):
-    """How each system is that the server is connected to, in a sentence; its feature adds it."""
+    """Functions that describe a connected system's state in a sentence; its feature adds one."""
 
 
 class ConfigurationFile:
-    """One change at a time. Nothing is written where the file is another than the one that a change began
-    from; what was changed by hand is a version before it is replaced."""
+    """The configuration file, changed by one person at a time. Nothing is written if the file differs from
+    the one from which a change began; a change by hand becomes a version before it is replaced."""
 
     def __init__(
         self,
@@ -98,25 +98,25 @@ class ConfigurationFile:
 
     @property
     def path(self) -> Path:
-        """Raises Problem 404 where the server was started without a file."""
+        """The path of the file. Raises Problem 404 if the server was started without one."""
         return or_404(self._settings._file, "not_found", Message("configuration_no_file"))
 
     @property
     def owner(self) -> str:
-        """Who may change the file where the server may not."""
+        """The user who may change the file if the server may not."""
         try:
             return self.path.owner()
         except (OSError, KeyError):
             return "root"
 
     async def present(self) -> PresentFile:
-        """Return the file as it is; one that was changed by hand becomes a version. Raises Problem 404, and
-        409 for one that cannot be read."""
+        """Return the present file; a change by hand becomes a version. Raise Problem 404, or 409 if the file
+        cannot be read."""
         async with self._one_at_a_time:
             return await self._present()
 
     async def begin(self) -> None:
-        """Make what was changed since the last version a version, at the start."""
+        """Make a version of changes since the last version, at the start."""
         if self._settings._file is not None:
             with suppress(Problem):
                 await self.present()
@@ -130,18 +130,17 @@ class ConfigurationFile:
         return [] if present.is_running else difference(self._settings._text, present.text)
 
     async def version(self, number: int) -> StoredVersion:
-        """Return one of them. Raises Problem 404."""
+        """Return one version. Raise Problem 404."""
         found = await asyncio.to_thread(self._store.one, number)
         return or_404(found, "not_found", Message.of("configuration_no_version", n=number))
 
     async def version_of(self, digest: str) -> StoredVersion | None:
-        """Return the newest one with a text of this digest; None where none is kept."""
+        """Return the newest version whose text has this digest; None if none is kept."""
         every = await asyncio.to_thread(self._store.every)
         return next((each for each in every if each.version.digest == digest), None)
 
     async def review(self, edit: Edit, digest: str) -> ConfigurationReview:
-        """Return what a change would make of the file. Raises Problem 409 where that is another one by
-        now."""
+        """Return the file as a change would make it. Raise Problem 409 if the file is another one by now."""
         present = await self.present()
         self.refuse_superseded(present, digest)
         return await asyncio.to_thread(self._reviewed, present, edit)
@@ -149,7 +148,7 @@ class ConfigurationFile:
     async def save(
         self, person: Person, act: Act, edit: Edit, digest: str, reason: str
     ) -> ConfigurationVersion:
-        """Write what a change makes of the file. Raises Problem 403, 409 or 422; then nothing was written."""
+        """Write the file as changed. Raise Problem 403, 409 or 422; then nothing was written."""
         act.check(person)
         async with self._one_at_a_time:
             present = await self._present()
@@ -164,12 +163,12 @@ class ConfigurationFile:
             return await self._stored(person, act, present, review, reason)
 
     def refuse_superseded(self, present: PresentFile, digest: str) -> None:
-        """Raises Problem 409 where a change began from another text of the file."""
+        """Raise Problem 409 if a change began from another text of the file."""
         if present.digest != digest:
             raise Problem(409, "superseded", Message("configuration_superseded"), digest=present.digest)
 
     def refuse_faults(self, review: ConfigurationReview) -> None:
-        """Raises Problem 422 for a text with which the server would not start."""
+        """Raise Problem 422 for a text with which the server would not start."""
         if review.faults:
             faults = Message.of("several", messages=list(review.faults))
             raise Problem(422, "invalid", Message.of("configuration_not_valid", faults=faults))
@@ -190,7 +189,7 @@ class ConfigurationFile:
         return await asyncio.to_thread(self._judged, path, text)
 
     async def _adopt(self, text: str) -> None:
-        """Make a version of the text where it is none that was written here."""
+        """Make a version of the text if it was not written here."""
         newest = await asyncio.to_thread(self._store.newest)
         digest = digest_of(text)
         if newest is not None and newest.version.digest == digest:
@@ -209,7 +208,7 @@ class ConfigurationFile:
             try:
                 await self._events.record(kind="configuration", what=what, message=_in_short(lines))
             except StoreError:
-                # With the version the event would be done.
+                # With the version in the store, the event would count as recorded.
                 await asyncio.to_thread(self._store.withdraw, number)
                 raise
 
@@ -257,13 +256,13 @@ class ConfigurationFile:
 
 
 def digest_of(text: str) -> str:
-    """Return what identifies a text of the file."""
+    """Return the digest that identifies a text of the file."""
     return sha256(text.encode()).hexdigest()[:16]
 
 
 def replace_file(path: Path, before: str, text: str) -> None:
-    """Write all of a file or nothing, with the mode and, where permitted, the owner that it has. On disk when
-    this returns. Raises OSError, and FileChangedError where its text is not ``before`` in the last moment."""
+    """Write all of a file or nothing, with its mode and, if permitted, its owner. It is on disk when this
+    returns. Raise OSError, or FileChangedError if its text is not ``before`` at the last moment."""
     found = path.stat()
     with fresh_file(path, text.encode()) as fresh:
         with suppress(PermissionError):
@@ -284,12 +283,12 @@ def _in_short(lines: list[DifferenceLine]) -> str:
 
 
 DELAY_S = 1.0
-"""Within which a browser loads the page that it is sent to, which then follows the restart."""
+"""The time for a browser to load the page to which it is sent, which then follows the restart."""
 
 
 class Restart:
-    """The restart of the server where what runs it offers that: a demonstration does not, nor does a server
-    that was started with rights or at a port that it would not get again."""
+    """The restart of the server, if its host offers that: a demonstration does not, nor does a server that
+    was started with rights or at a port that it would not get again."""
 
     def __init__(self, file: ConfigurationFile, events: EventLog) -> None:
         self._file = file
@@ -301,14 +300,14 @@ class Restart:
         return self._requested is not None
 
     def offer(self) -> asyncio.Event:
-        """Let a person restart the server from now on, and return the event that is set a moment after one
+        """Let a person restart the server from now on; return the event that is set a moment after a person
         has."""
         self._requested = asyncio.Event()
         return self._requested
 
     async def request(self, person: Person, digest: str, reason: str) -> None:
-        """Restart within a second. Raises Problem 403, and 409 where the file is another one by now, or one
-        with which the server would not start, or where it cannot restart."""
+        """Restart within a second. Raise Problem 403, or 409 if the file is another one by now, if the server
+        would not start with it, or if it cannot restart."""
         RESTART.check(person)
         if self._requested is None:
             raise Problem(409, "not_in_state", Message("restart_not_offered"))

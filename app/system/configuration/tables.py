@@ -1,4 +1,4 @@
-"""The tables of the file that are changed in the browser, with their keys; all others are changed by hand."""
+"""The tables of the file that the browser can change, with their keys; others are changed by hand."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TableKind = Literal[
     "unit", "alarm", "built_in_alarm", "notify", "smtp", "group", "duty", "rule", "maintenance"
 ]
 MAX_LISTED = 200
-"""Items of a list that is typed as a text."""
+"""The most items of a list that is typed as a text."""
 
 
 class SettingField(NamedTuple):
@@ -41,9 +41,9 @@ class SettingField(NamedTuple):
 
 
 class TableForm(NamedTuple):
-    """A kind of table: where it is, with ``0`` for the index in an array, and its keys. The ``identity``
-    distinguishes one of an array from the others, the ``title`` shows which it is; ``is_listed``: it is added
-    and removed here."""
+    """A kind of table: its path, with ``0`` for the index in an array, and its keys. The ``identity``
+    distinguishes an element of an array from the others, the ``title`` names it for people; ``is_listed``: it
+    is added and removed here."""
 
     kind: TableKind
     path: KeyPath
@@ -54,14 +54,14 @@ class TableForm(NamedTuple):
 
 
 class TablePlace(NamedTuple):
-    """A table of the file: its form, and where it is."""
+    """A table of the file: its form and its path."""
 
     form: TableForm
     path: KeyPath
 
     @property
     def name(self) -> str:
-        """As addresses have it: ``bus.0.unit.1``."""
+        """The name of the table in addresses, such as ``bus.0.unit.1``."""
         return ".".join(map(str, self.path))
 
 
@@ -133,12 +133,12 @@ FORMS = (
         "maintenance", ("notify", "maintenance", 0), _MAINTENANCE, ("reason", "days", "starts", "ends")
     ),
 )
-"""A table of secrets, such as a webhook, and what decides whether the server can be reached are not among
-them."""
+"""Tables of secrets, such as a webhook, and tables that decide whether the server can be reached are not
+among the forms."""
 
 
 def place_of(name: str, data: Any) -> TablePlace | None:
-    """Return the table of an address, or one that may be added there; None for any other."""
+    """Return the table of a name, or one that may be added there; None for any other name."""
     steps = (parse_integer(step, 4) if step.isdecimal() else step for step in name.split("."))
     path = tuple(step for step in steps if step is not None)
     pattern = tuple(0 if isinstance(step, int) else step for step in path)
@@ -154,7 +154,7 @@ def place_of(name: str, data: Any) -> TablePlace | None:
 
 
 def place_or_404(name: str, data: Any) -> TablePlace:
-    """Return the table of an address, or one that may be added there. Raises Problem 404."""
+    """Return the table of a name, or one that may be added there. Raise Problem 404."""
     message = Message.of("configuration_no_table", name=name[:80])
     return or_404(place_of(name, data), "not_found", message)
 
@@ -178,7 +178,7 @@ def _paths(data: Any, pattern: KeyPath, before: KeyPath = ()) -> Iterator[KeyPat
 
 
 def title_of(place: TablePlace, data: Any) -> str:
-    """Return what distinguishes a table for people; empty for one that is not there."""
+    """Return the text that names a table for people; empty if there is no table."""
     table = at(data, place.path)
     above = at(data, (*place.path[:-2], "name")) if len(place.path) > 3 else None
     texts = (above, *(at(table, (key,)) for key in place.form.title))
@@ -186,14 +186,14 @@ def title_of(place: TablePlace, data: Any) -> str:
 
 
 def end_of(form: TableForm, data: Any, above: KeyPath = ()) -> TablePlace:
-    """Return where the next table of an array is added; ``above``: inside of which element."""
+    """Return the place where the next table of an array is added; ``above``: the enclosing element."""
     path = (*above, *form.path[len(above) : -1])
     array = at(data, path)
     return TablePlace(form, (*path, len(array) if isinstance(array, list) else 0))
 
 
 def same_table(place: TablePlace, before: Any, now: Any) -> TablePlace | None:
-    """Return where the table is after the file was changed by others; None where it cannot be found."""
+    """Return the place of the table after others changed the file; None if it cannot be found."""
     table, index = at(before, place.path), place.path[-1]
     if not isinstance(index, int):
         return place
@@ -210,12 +210,12 @@ def same_table(place: TablePlace, before: Any, now: Any) -> TablePlace | None:
 
 
 def texts_of(place: TablePlace, data: Any) -> dict[str, str]:
-    """Return the keys of a table as a form has them, empty where one is not set."""
+    """Return the keys of a table as texts of a form, empty if not set."""
     return {field.key: text_of(at(data, (*place.path, *field.key.split(".")))) for field in place.form.fields}
 
 
 def changes_of(place: TablePlace, data: Any, texts: Mapping[str, str]) -> dict[str, TomlValue | None]:
-    """Return what a form changes: each key whose text is another than that of the file, with its value."""
+    """Return the changes of a form: each key whose text differs from the file's, with its value."""
     present = texts_of(place, data)
     return {
         field.key: _value(field, texts[field.key].strip())
@@ -225,7 +225,7 @@ def changes_of(place: TablePlace, data: Any, texts: Mapping[str, str]) -> dict[s
 
 
 def text_of(value: Any) -> str:
-    """Return a value as a form has it; empty for none."""
+    """Return a value as text of a form; empty for None."""
     if isinstance(value, bool):
         return "true" if value else ""
     if isinstance(value, list):
@@ -241,12 +241,11 @@ DEFAULTS: Mapping[str, Mapping[str, str]] = {
     }
     for kind, settings in (("notify", NotifySettings), ("smtp", SmtpSettings))
 }
-"""What holds where the file has no such key, as a form has it; of the tables that are there once."""
+"""The values that hold without a key in the file, as texts of a form, for tables that exist once."""
 
 
 def _value(field: SettingField, text: str) -> TomlValue | None:
-    """Return the value of a typed text; where it is none of its kind the text itself, which is then
-    refused."""
+    """Return the value of a typed text; if it does not fit its kind, the text, which is then refused."""
     if not text:
         return None
     match field.kind:

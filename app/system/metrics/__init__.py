@@ -1,1 +1,1 @@
-"""``/metrics``: what the workers, the wire and the people do, for Prometheus."""
+"""Metrics for Prometheus at ``/metrics``: workers, wire, commands, alarms, stores."""

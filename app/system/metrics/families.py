@@ -45,10 +45,10 @@ _ALARM_FACTS: dict[str, tuple[str, Callable[[Alarm], bool]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What the metrics are made of, at one moment. ``pages``: how many are open; ``commands``: how many had
-    which outcome; ``newest_backup``: when it was begun, None where there are to be none; ``publisher``: None
-    without a plant's database; ``nodes``: None without a broker; ``opcua``: none where that is
-    not served; ``data``: the folder of the stores."""
+    """The data of all metrics at one moment. ``pages``: the number of open pages; ``commands``: their number
+    by outcome; ``newest_backup``: its start, None if no backup is wanted; ``publisher``: None without a
+    plant's database; ``nodes``: None without a broker; ``opcua``: empty if OPC UA is not served; ``data``:
+    the folder of the stores."""
 
     live: LiveState
     pages: int
@@ -190,8 +190,8 @@ def _opcua_metrics(processes: OpcuaProcesses) -> Iterator[Metric]:
 
 
 def _readings(buses: Iterable[tuple[str, BusLive]], now: UnixTime) -> Iterator[Metric]:
-    """Yield what units read. A value that is not of the present has no sample: a graph has a gap, not the
-    last value."""
+    """Yield the readings of units. A value that is not current has no sample: a graph has a gap, not the last
+    value."""
     info = InfoMetricFamily("lineside_unit", "The name of a unit", labels=["bus", "unit"])
     online = _unit_gauge("lineside_unit_online", "1 while the values of a unit are of the present")
     actual = _unit_gauge("lineside_speed_actual", "Actual speed, as the display of the unit shows it")
@@ -257,7 +257,7 @@ def _bus_gauges(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
 
 
 def text(measured: Measured) -> bytes:
-    """Return all metrics, as Prometheus reads them."""
+    """Return all metrics as Prometheus reads them."""
     registry = CollectorRegistry()
     registry.register(LineCollector(measured))
     ProcessCollector(registry=registry)

@@ -1,4 +1,4 @@
-"""Serves ``GET /metrics``: what the workers, the wire and the people do, for Prometheus."""
+"""The feature of metrics: ``GET /metrics`` for Prometheus."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OUTCOMES = ("verified", "acknowledged", "refused", "unverified", "invalid", "not
 
 
 class CommandCounts:
-    """Commands by their outcome since the server started."""
+    """The numbers of commands by outcome since the server started."""
 
     def __init__(self, events: EventLog) -> None:
         self.by_outcome: Counter[str] = Counter(dict.fromkeys(OUTCOMES, 0))

@@ -1,4 +1,4 @@
-"""What an edge node has not sent yet: spans of the history, by unit, kept in the main store.
+"""The backlog of an edge node: unsent spans of the history, by unit, kept in the main store.
 
 The history is the outbox: nothing is stored a second time. Times are in µs since the epoch.
 """
@@ -21,16 +21,16 @@ from bus.settings import BusSettings
 
 MAX_BD_SEQ = 256
 PIECE = 5 * MINUTE
-"""How much of one unit is read at a time: a thousand readings or two."""
+"""The span of one unit that is read at a time: a thousand readings or two."""
 _COLUMNS = READING.columns[3:-1]
 Row = tuple[UnixTime, Mapping[str, Value]]
 
 
 @dataclass
 class Backlog:
-    """Spans of the history of a bus that the broker has not received. ``bd_seq``: the number of the last
-    connection (Sparkplug 3.0, 6.4.20); ``received``: everything that was read up to then was received, but
-    for the spans."""
+    """The spans of a bus's history that the broker has not received. ``bd_seq``: the number of the last
+    connection (Sparkplug 3.0, 6.4.20); ``received``: all readings up to this time were received, except for
+    the spans."""
 
     bus: str
     bd_seq: int = -1
@@ -43,14 +43,14 @@ class Backlog:
         return self.bd_seq
 
     def add(self, start: int, ends: Mapping[int, int], oldest: int) -> None:
-        """Add a span that was not sent, from ``start`` to the end that each unit has. What is older than
-        ``oldest`` is given up."""
+        """Add an unsent span, from ``start`` to the end for each unit. Spans older than ``oldest`` are given
+        up."""
         for unit, end in ends.items():
             self.spans[unit].append((start, end))
         self.spans = {unit: _joined(spans, oldest) for unit, spans in self.spans.items()}
 
     def next_piece(self, units: set[int]) -> tuple[int, tuple[int, int]] | None:
-        """Return the oldest piece that is to be sent of these units; None if nothing is."""
+        """Return the oldest piece to send of these units; None if there is none."""
         waiting = [(spans[0], unit) for unit, spans in self.spans.items() if spans and unit in units]
         if not waiting:
             return None
@@ -63,7 +63,7 @@ class Backlog:
         self.spans[unit][:1] = [(until, end)] if until < end else []
 
     def waiting_s(self) -> float:
-        """Return for how many seconds of a unit readings wait, of the one with the most."""
+        """Return the seconds of waiting readings, for the unit with the most."""
         return max((sum(end - start for start, end in spans) for spans in self.spans.values()), default=0) / (
             SECOND
         )
@@ -80,7 +80,7 @@ def _joined(spans: list[tuple[int, int]], oldest: int) -> list[tuple[int, int]]:
 
 
 def read_backlog(connection: StoreConnection, bus: BusSettings) -> Backlog:
-    """Return what is stored of a bus, for the units that it has now."""
+    """Return the stored backlog of a bus, for its present units."""
     query = "SELECT bd_seq, received FROM mqtt_node WHERE bus = ?"
     bd_seq, received = connection.execute(query, (bus.name,)).fetchone() or (-1, 0)
     found = Backlog(bus.name, bd_seq, received, {unit.id: [] for unit in bus.unit})
@@ -92,7 +92,7 @@ def read_backlog(connection: StoreConnection, bus: BusSettings) -> Backlog:
 
 
 def write_backlog(connection: StoreConnection, backlog: Backlog) -> None:
-    """Store what is to be sent of a bus."""
+    """Store the backlog of a bus."""
     row = (backlog.bus, backlog.bd_seq, backlog.received)
     connection.execute(upsert("mqtt_node", ("bus",), ("bd_seq", "received")), row)
     connection.execute("DELETE FROM mqtt_unsent WHERE bus = ?", (backlog.bus,))
@@ -101,7 +101,7 @@ def write_backlog(connection: StoreConnection, backlog: Backlog) -> None:
 
 
 class PastReadings:
-    """Reader of the past readings of a bus in its history, in engineering units."""
+    """A reader of past readings of a bus from its history, in engineering units."""
 
     def __init__(self, bus: BusSettings) -> None:
         self._bus = bus

@@ -1,4 +1,4 @@
-"""The plant's broker, where one is configured: the nodes of the lines, and the overview of others."""
+"""The feature of the plant's broker, if one is configured: the lines' nodes, the overview of others."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def _note_alarm(nodes: dict[str, NodeSession], alarm: Alarm) -> None:
 
 
 def _page(settings: Settings) -> str:
-    """Return the address under which people reach the pages of this server: that of its messages, else by
-    the name of the machine."""
+    """Return the address of this server's pages for people: that in its messages, else by the name of the
+    machine."""
     if settings.notify.dashboard_url:
         return settings.notify.dashboard_url.rstrip("/")
     scheme = "http" if settings.server.tls is None else "https"

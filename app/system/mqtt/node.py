@@ -1,4 +1,4 @@
-"""A bus as a Sparkplug B edge node with its units as devices: what is published, and in which order. Pure.
+"""A bus as a Sparkplug B edge node with its units as devices: its messages and their order. Pure.
 
 The topics are those of Sparkplug 3.0, 4: ``spBv1.0/<group>/<type>/<node>[/<device>]``. A device is born when
 its unit responds and dies when it does not, so that its values count as stale.
@@ -39,15 +39,15 @@ from bus.instants import UnixTime
 
 NAMESPACE = "spBv1.0"
 LINES = "lineside/v1/lines"
-"""Where the documents of lines are, beside Sparkplug."""
+"""The topic above the documents of lines, beside Sparkplug."""
 REBIRTH = "Node Control/Rebirth"
 REBIRTH_EVERY_S = 5.0
 MAX_SEQ = 256
 """Sequence numbers count from 0 to 255 (Sparkplug 3.0, 6.4.5)."""
 MAX_QUEUED = 20_000
-"""Readings that wait to be sent; a broker that takes none for so long has lost the connection."""
+"""The most readings that wait to be sent; with more, the connection counts as lost."""
 HISTORICAL_METRICS = 300
-"""Of one payload."""
+"""The most historical metrics in one payload."""
 _TYPES: Mapping[str, DataType] = {
     "number": DataType.DOUBLE,
     "integer": DataType.INT64,
@@ -59,7 +59,7 @@ _REBIRTH = Metric(REBIRTH, DataType.BOOLEAN)
 
 
 class Publication(NamedTuple):
-    """Message to publish: its topic and its payload."""
+    """A message to publish: its topic and its payload."""
 
     topic: str
     payload: bytes
@@ -67,7 +67,7 @@ class Publication(NamedTuple):
 
 @dataclass(slots=True)
 class Device:
-    """Unit as a Sparkplug device. ``first_alias``: that of its first tag, the others follow; ``sent``: the
+    """A unit as a Sparkplug device. ``first_alias``: of its first tag, the others follow; ``sent``: the
     values that were sent last, None while the device is dead; ``scale``: that of its birth."""
 
     name: str
@@ -82,7 +82,7 @@ class Device:
 
 @dataclass(eq=False, repr=False)
 class EdgeNode:
-    """Sparkplug edge node of a bus. ``alarms_of``: how many alarms of a unit are active."""
+    """The Sparkplug edge node of a bus. ``alarms_of``: the number of active alarms of a unit."""
 
     bus: BusLive
     group: str
@@ -90,7 +90,7 @@ class EdgeNode:
     deadbands: Deadbands = field(default_factory=Deadbands)
     seq: int = 0
     refused: int = 0
-    """Commands that were refused: this node can be told nothing but to be born again."""
+    """The number of refused commands: the node takes no command except for a rebirth."""
     devices: dict[int, Device] = field(default_factory=dict)
     _readings: list[Reading] = field(default_factory=list)
     _changed: set[int] = field(default_factory=set)
@@ -112,7 +112,7 @@ class EdgeNode:
 
     @property
     def name(self) -> str:
-        """Return the id of the Sparkplug edge node, which is the name of its bus."""
+        """The id of the Sparkplug edge node, which is the name of its bus."""
         return self.bus.settings.name
 
     @property
@@ -126,8 +126,8 @@ class EdgeNode:
         return f"{LINES}/{self.group}/{self.name}"
 
     def take_command(self, topic: str, payload: bytes, now: UnixTime) -> list[Publication]:
-        """Return the births that a command asks for, at most every `REBIRTH_EVERY_S`; refuse and count every
-        other command: it has no deadline and no acknowledgement, so it could move a machine late."""
+        """Return the births that a command requests, at most every `REBIRTH_EVERY_S`; refuse and count any
+        other command: without deadline and acknowledgement, it could move a machine late."""
         try:
             commands = commands_in(payload)
         except PayloadError:
@@ -165,7 +165,7 @@ class EdgeNode:
         self._changed.clear()
 
     def births(self, now: UnixTime) -> list[Publication]:
-        """Return the birth of the node with sequence number 0, and that of each unit that responds."""
+        """Return the birth of the node with sequence number 0, and of each unit that responds."""
         self.seq = MAX_SEQ - 1
         metrics = [
             encode_birth(_BD_SEQ, _ms(now), self._bd_seq),
@@ -207,10 +207,10 @@ class EdgeNode:
         self.seq = (self.seq + 1) % MAX_SEQ
         return self.seq
 
-    # --- what changes ---
+    # --- changes ---
 
     def note(self, updates: Sequence[Update]) -> None:
-        """Note what the worker reported, to be sent with `changes`."""
+        """Note the worker's updates, to be sent with `changes`."""
         if not self._is_born:
             return
         for update in updates:
@@ -227,7 +227,7 @@ class EdgeNode:
 
     @property
     def is_behind(self) -> bool:
-        """Whether more readings wait than a live connection lets wait."""
+        """Whether more readings wait than a working connection allows."""
         return len(self._readings) > MAX_QUEUED
 
     def changes(self, now: UnixTime) -> list[Publication]:
@@ -269,7 +269,7 @@ class EdgeNode:
     def _differing(
         self, device: Device, first: int, values: Sequence[Value], at: UnixTime
     ) -> Iterable[bytes]:
-        """Return those values that differ from the ones that were sent, from the tag ``first`` on."""
+        """Return the values that differ from those sent, from the tag ``first`` on."""
         sent = device.sent
         assert sent is not None
         found = []
@@ -280,7 +280,7 @@ class EdgeNode:
         return found
 
     def _is_beyond(self, place: int, value: Value, sent: Value) -> bool:
-        """Return whether a value differs by its deadband from the one that was sent."""
+        """Return whether a value differs from the one sent by its deadband."""
         if place >= len(self._thresholds) or not self._thresholds[place]:
             return True
         if not isinstance(value, float) or not isinstance(sent, float):
@@ -293,15 +293,14 @@ class EdgeNode:
     # --- the past ---
 
     def is_born(self, unit: int) -> bool:
-        """Return whether the device of a unit is born, so that data of it may be sent."""
+        """Return whether the device of a unit is born: then its data may be sent."""
         return self.devices[unit].sent is not None
 
     def historical(
         self, unit: int, rows: Iterable[tuple[UnixTime, Mapping[str, Value]]], now: UnixTime
     ) -> list[Publication]:
-        """Return rows of the history of a unit as data, each value that differs from the one before it,
-        marked as historical; nothing of a unit that is dead. Rows: their time and values by `Tag.column`, in
-        order of time."""
+        """Return rows of a unit's history as data, each value that differs from the one before it, marked as
+        historical; empty for a dead unit. ``rows``: time and values by `Tag.column`, in order of time."""
         device = self.devices[unit]
         if device.sent is None or device.scale is None:
             return []
@@ -321,7 +320,7 @@ class EdgeNode:
 
 
 def _metric(tag: Tag, alias: int) -> Metric:
-    """Return a tag as a metric, with what hosts such as Ignition know by these names."""
+    """Return a tag as a metric, with properties that hosts such as Ignition know."""
     properties: dict[str, Value] = {
         "engUnit": tag.unit or None,
         "engLow": None if tag.low is None else float(tag.low),
@@ -338,5 +337,5 @@ def _is_rebirth(command: Command) -> bool:
 
 
 def _ms(at: UnixTime) -> int:
-    """Return the millisecond of a moment: that of its microsecond, as the history keeps a reading."""
+    """Return the millisecond of a moment, from its microsecond, as the history has readings."""
     return max(0, micros(at) // 1000)

@@ -2,7 +2,7 @@
 document, and a server with ``overview = true`` shows those of all others.
 
 The document is that of ``GET /api/v1/sites?own=true`` for one line, with the address of its page. It is
-judged as a peer's report is; nothing of it is kept.
+checked like a peer's report; nothing of it is stored.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ log = structlog.get_logger()
 
 
 class _Page(msgspec.Struct):
-    """Part of a document that the report of a peer does not have."""
+    """The part of a document that a peer's report does not have."""
 
     page: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class LineDocuments:
-    """Maker of the documents of the lines of this server. ``page``: the address of its pages."""
+    """The maker of the documents of this server's lines. ``page``: the address of its pages."""
 
     board: LineBoard
     english: Translator
@@ -54,8 +54,8 @@ class LineDocuments:
 
 @dataclass(eq=False, repr=False)
 class BrokerLines:
-    """Lines that other servers publish on the broker, shown on a board as those of peers. ``own``: the topics
-    of the lines of this server; ``fault``: why none are read now."""
+    """The lines that other servers publish on the broker, shown on a board like those of peers. ``own``: the
+    topics of this server's lines; ``fault``: why none are read now."""
 
     settings: MqttSettings
     board: LineBoard
@@ -66,7 +66,7 @@ class BrokerLines:
     _former: dict[str, tuple[str, Monotonic]] = field(default_factory=dict)
 
     async def follow(self) -> None:
-        """Read documents until canceled; after a failure it waits and connects again."""
+        """Read documents until canceled; after a failure, wait and connect again."""
         failures = 0
         while True:
             try:
@@ -81,7 +81,7 @@ class BrokerLines:
             failures += 1
 
     def state(self) -> Message:
-        """Return a sentence about the lines of others that are shown."""
+        """Return a sentence about the other servers' lines that are shown."""
         if self.fault is not None:
             return Message.of("mqtt_overview_lacks", reason=self.fault)
         shown = number(str(len(self._peers)))
@@ -97,9 +97,9 @@ class BrokerLines:
                     self.take(str(message.topic), message.payload, is_retained=message.retain)
 
     def take(self, topic: str, payload: bytes, *, is_retained: bool) -> None:
-        """Show the line of a document that was received. An empty one takes the line away; one that the
-        broker had kept shows it as stale. The broker's rules permit a topic, so what a document says of
-        itself counts only as far as its topic agrees."""
+        """Show the line of a received document. An empty document removes the line; one that the broker had
+        retained shows it as stale. The broker's rules permit a topic, so the names in a document count only
+        as far as they agree with its topic."""
         if topic in self.own:
             return
         if not payload:
@@ -134,7 +134,7 @@ class BrokerLines:
             peer.reported_at = Monotonic(float(self.board.clock()) - AWAY_AFTER_S)
 
     def _is_another(self, topic: str, peer: Peer, instance: str) -> bool:
-        """Return whether two servers publish this line: the one that had ended is there again."""
+        """Return whether two servers publish this line: the one that had ended is back."""
         now = self.board.clock()
         former, at = self._former.get(topic, ("", now))
         if peer.instance and instance != peer.instance:
@@ -143,12 +143,12 @@ class BrokerLines:
 
 
 def _number(topic: str) -> int:
-    """Return a number of a topic that is the same in every copy of this server: pages name tiles by it."""
+    """Return a number for a topic, the same in every copy of this server: pages name tiles by it."""
     return int.from_bytes(blake2b(topic.encode(), digest_size=6).digest(), "big")
 
 
 def _page_in(payload: bytes) -> str:
-    """Return the address of the page of a line; empty where there is none that a browser may be led to."""
+    """Return the address of a line's page; empty if a browser may not be led there."""
     try:
         written = msgspec.json.decode(payload[:MAX_BYTES], type=_Page).page
         return check_web_url(written[:MAX_URL]).rstrip("/") if written else ""

@@ -16,7 +16,7 @@ Value = bool | int | float | str | None
 _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
 """The wire types of Protocol Buffers."""
 MAX_METRICS: Final = 1000
-"""That are read of a command."""
+"""The most metrics that are read of a command."""
 
 
 class DataType(IntEnum):
@@ -31,7 +31,7 @@ class DataType(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """Named value of a node or device. ``alias`` None: it is always named; ``properties``: such as its
+    """A named value of a node or device. ``alias`` None: it is always named; ``properties``: such as its
     engineering unit."""
 
     name: str
@@ -42,7 +42,7 @@ class Metric:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """Metric that a host wants to set. ``value`` None: of a type that is not read."""
+    """A metric that a host wants to set. ``value`` None: of a type that is not read."""
 
     name: str
     alias: int | None
@@ -50,15 +50,15 @@ class Command:
 
 
 class PayloadError(ValueError):
-    """Error of bytes that are no Sparkplug payload."""
+    """Raised for bytes that are not a Sparkplug payload."""
 
 
 # --- encoding ---
 
 
 def encode_payload(timestamp_ms: int, metrics: Iterable[bytes], seq: int | None) -> bytes:
-    """Return a payload. ``metrics``: each by `encode_birth` or `encode_value`; ``seq``: None in a death of
-    the node, which has none (Sparkplug 3.0, 6.4.21)."""
+    """Return a payload. ``metrics``: each by `encode_birth` or `encode_value`; ``seq``: None for a death of
+    the node (Sparkplug 3.0, 6.4.21)."""
     parts = [_number(1, timestamp_ms)]
     parts += [_bytes(2, metric) for metric in metrics]
     if seq is not None:
@@ -67,7 +67,7 @@ def encode_payload(timestamp_ms: int, metrics: Iterable[bytes], seq: int | None)
 
 
 def encode_birth(metric: Metric, timestamp_ms: int, value: Value) -> bytes:
-    """Return a metric with its name, type and properties, as a birth gives it."""
+    """Return a metric with its name, type and properties, as for a birth."""
     parts = [_text(1, metric.name)]
     if metric.alias is not None:
         parts.append(_number(2, metric.alias))
@@ -81,7 +81,7 @@ def encode_birth(metric: Metric, timestamp_ms: int, value: Value) -> bytes:
 
 
 def encode_value(metric: Metric, timestamp_ms: int, value: Value, *, is_historical: bool = False) -> bytes:
-    """Return a metric by its alias alone, as DATA after a birth gives it (Sparkplug 3.0, 6.4.6)."""
+    """Return a metric with only its alias, as for DATA after a birth (Sparkplug 3.0, 6.4.6)."""
     assert metric.alias is not None
     parts = [_number(2, metric.alias), _number(3, timestamp_ms)]
     if is_historical:
@@ -128,7 +128,7 @@ def _value(datatype: DataType, value: Value) -> bytes:
 
 
 _TAGS = [[bytes([number << 3 | kind]) for kind in range(6)] for number in range(16)]
-"""The key of each field that is written, which is one byte."""
+"""The key of each written field, which is one byte."""
 
 
 def _tag(number: int, kind: int) -> bytes:
@@ -162,7 +162,7 @@ def _varint(value: int) -> bytes:
 
 
 def commands_in(payload: bytes) -> list[Command]:
-    """Return the metrics of an NCMD or DCMD. Raises PayloadError for what is none."""
+    """Return the metrics of an NCMD or DCMD. Raise PayloadError for other bytes."""
     try:
         metrics = [value for number, value in _fields(payload) if number == 2 and isinstance(value, bytes)]
         if len(metrics) > MAX_METRICS:
@@ -189,8 +189,8 @@ def _command(metric: bytes) -> Command:
 
 
 def _fields(content: bytes) -> Iterator[tuple[int, int | bytes]]:
-    """Yield the fields of a message: its number, and an integer or the bytes. Raises PayloadError,
-    IndexError where it is cut."""
+    """Yield the fields of a message: the number, and an integer or the bytes. Raise PayloadError, or
+    IndexError if the message is cut off."""
     at = 0
     while at < len(content):
         key, at = _read_varint(content, at)

@@ -1,9 +1,9 @@
-"""The connection of an edge node to the plant's broker: births, changes, what was missed, and reconnection.
+"""The connection of an edge node to the plant's broker: births, changes, missed readings, reconnection.
 
-Nothing of the server waits for it. Data have quality of service 0, as Sparkplug wants it, so the broker
-confirms none of them. Behind what is sent together goes an empty message that it does confirm, and with it
-everything before it on the same connection: after a loss, the readings since the last confirmed one are sent
-from the history, marked as historical. Only what was on its way in that moment may come twice.
+Nothing of the server waits for it. Data have quality of service 0, as Sparkplug requires, so the broker
+confirms none of them. After messages that are sent together comes an empty message that it does confirm, and
+with it everything before it on the same connection: after a loss, the readings since the last confirmed one
+are sent from the history, marked as historical. Only messages under way at that moment may come twice.
 """
 
 from __future__ import annotations
@@ -46,27 +46,27 @@ if TYPE_CHECKING:
 KEEP_ALIVE_S = 10
 CONNECT_S = 10.0
 RETRY_S = (1.0, 2.0, 5.0, 10.0, 30.0)
-"""The time between two attempts, of which the last repeats."""
+"""The seconds between two attempts; the last value repeats."""
 STEADY_S = 30.0
-"""A connection that lasted this long was a good one."""
+"""The duration after which a connection counts as good."""
 FLUSH_S = 0.2
-"""Changes of this span are sent together, about a scan of a line: each time wakes the server and the broker
-up, on a machine that the bus worker may share with both."""
+"""The span of changes that are sent together, about one scan of a line: each sending wakes the server and the
+broker, on a machine that the bus worker may share with both."""
 MESSAGES_S = 400
-"""About how many messages a second are sent, as each takes the server a tenth of a millisecond: on a line
-with more values, a message holds several readings of its unit, each with its time."""
+"""The approximate most messages a second, as each takes the server a tenth of a millisecond: on a line with
+more values, a message has several readings of its unit, each with its time."""
 TICK_S = 0.5
-"""How often ages are judged where nothing changes."""
+"""The seconds between checks of ages if nothing changes."""
 STORE_EVERY_S = 10.0
 SETTLED_S = 1.0
-"""How long the readings of a moment are awaited in the history."""
+"""The time in which the readings of a moment reach the history."""
 MAX_COMMAND = 64 * 1024
 QUALITY_OF_SERVICE = 1
 log = structlog.get_logger()
 
 
 class BrokerError(LinesideError):
-    """An error of the connection to the broker; the message says why it failed or ended."""
+    """Raised if the connection to the broker fails or ends; the message has the reason."""
 
 
 def require_package() -> None:
@@ -81,8 +81,8 @@ def require_package() -> None:
 async def connected(
     settings: MqttSettings, identifier: str, will: Publication | None = None
 ) -> AsyncIterator[aiomqtt.Client]:
-    """Connect to the broker for the time of the context. Raises BrokerError, also when the connection ends
-    within the context."""
+    """Connect to the broker for the duration of the context. Raise BrokerError, also if the connection ends
+    in the context."""
     require_package()
     import aiomqtt
 
@@ -122,7 +122,7 @@ async def connected(
 
 def _tls(settings: MqttSettings) -> ssl.SSLContext | None:
     """Return the TLS context: the authority that the broker is trusted by, and the certificate of this
-    server. Raises BrokerError."""
+    server. Raise BrokerError."""
     if not settings.uses_tls:
         return None
     context = ssl.create_default_context()
@@ -138,8 +138,8 @@ def _tls(settings: MqttSettings) -> ssl.SSLContext | None:
 
 
 class _SocketErrors(logging.Handler):
-    """Keeps the last error of the socket. The library only logs it where it comes before the broker's
-    response, as when TLS 1.3 refuses a client certificate, and states that the time was over."""
+    """The handler that keeps the last socket error. The library only logs an error that comes before the
+    broker's response, as when TLS 1.3 refuses a client certificate, and reports a timeout."""
 
     last: OSError | None = None
 
@@ -149,7 +149,7 @@ class _SocketErrors(logging.Handler):
 
 
 def _why_not_reached(place: str, lost_by: OSError | None, cause: BaseException) -> Message:
-    """Return why there is no connection. ``lost_by``: what ended it before the broker responded."""
+    """Return why there is no connection. ``lost_by``: the error before the broker responded."""
     if is_refused_certificate(cause):
         return Message.of("mqtt_not_trusted", place=place, reason=network_cause(cause))
     if isinstance(lost_by, ssl.SSLError) and "_ALERT_" in (lost_by.reason or ""):
@@ -162,15 +162,15 @@ def _why_not_reached(place: str, lost_by: OSError | None, cause: BaseException) 
 
 
 def identifier_for(*parts: str) -> str:
-    """Return the client id of a connection: 23 characters, which every broker takes (MQTT 3.1.1, 3.1.3)."""
+    """Return a connection's client id: 23 characters, as every broker takes (MQTT 3.1.1, 3.1.3)."""
     return "lineside" + blake2b("\0".join(parts).encode(), digest_size=7).hexdigest()
 
 
 @dataclass(slots=True)
 class NodeStatus:
-    """State of the connection of a node. ``fault``: why it is not connected; ``waits``: whether it waits for
-    its primary host; ``host_is_behind``: whether the newest message of that host is older than the one before
-    by its own clock; ``sent``: messages since the start."""
+    """The state of a node's connection. ``fault``: why it is not connected; ``waits``: whether it waits for
+    its primary host; ``host_is_behind``: whether that host's newest message is older than the one before, by
+    its own clock; ``sent``: messages since the start."""
 
     is_connected: bool = False
     fault: Message | None = None
@@ -180,14 +180,14 @@ class NodeStatus:
 
 
 class Nodes(tuple["NodeSession", ...]):
-    """Sessions of all nodes; empty where no broker is configured. ``overview``: the reader of the lines of
-    others, where one is wanted."""
+    """The sessions of all nodes; empty if no broker is configured. ``overview``: the reader of other servers'
+    lines, if wanted."""
 
     overview: BrokerLines | None = None
 
 
 class NodeSession:
-    """Connection of one edge node to the broker, renewed after each loss. ``summary``: makes the document
+    """The connection of one edge node to the broker, renewed after each loss. ``summary``: makes the document
     of the line."""
 
     def __init__(
@@ -213,7 +213,7 @@ class NodeSession:
         self._host_time = 0
         node.bus.subscribe(Audience.STREAM, self._note)
 
-    # --- what the line reports ---
+    # --- reports of the line ---
 
     def _note(self, updates: Sequence[Update]) -> None:
         self.node.note(updates)
@@ -227,7 +227,7 @@ class NodeSession:
     # --- connections, one after the other ---
 
     async def follow(self) -> None:
-        """Publish until canceled; connect again after each loss, later each time."""
+        """Publish until canceled; connect again after each loss, with growing delays."""
         failures = 0
         while True:
             began = monotonic_now()
@@ -246,12 +246,12 @@ class NodeSession:
         self.status.fault, self.status.is_connected = message, False
 
     async def end(self) -> None:
-        """Store what is not sent yet as the server ends."""
+        """Store the unsent spans as the server ends."""
         if self.backlog is not None:
             await self._store(self.backlog)
 
     async def _connection(self) -> None:
-        """Publish over one connection. Raises BrokerError, StoreError."""
+        """Publish over one connection. Raise BrokerError or StoreError."""
         backlog = self.backlog
         if backlog is None:
             bus = self.node.bus.settings
@@ -293,7 +293,7 @@ class NodeSession:
                 death = self.node.death(bd_seq, self._clock())
                 await client.publish(death.topic, death.payload, QUALITY_OF_SERVICE)
 
-    # --- what others send ---
+    # --- messages of others ---
 
     async def _receive(self, client: aiomqtt.Client) -> None:
         async for message in client.messages:
@@ -309,7 +309,7 @@ class NodeSession:
                 log.warning("command by MQTT refused: nothing is commanded that way", topic=topic[:200])
 
     def _take_state(self, payload: bytes) -> None:
-        """Take over the state of the primary host; an older one does not count (Sparkplug 3.0, 6.4.27)."""
+        """Take over the primary host's state unless it is older (Sparkplug 3.0, 6.4.27)."""
         try:
             state = msgspec.json.decode(payload[:MAX_COMMAND], type=_HostState)
         except (msgspec.MsgspecError, ValueError):
@@ -319,7 +319,7 @@ class NodeSession:
             self._host_time, self._host_is_online = state.timestamp, state.online
             self._wake.set()
 
-    # --- what is sent ---
+    # --- own messages ---
 
     async def _publish(self, client: aiomqtt.Client, backlog: Backlog, bd_seq: int) -> None:
         await self._await_host()
@@ -331,7 +331,7 @@ class NodeSession:
         await _first_of(self._send_changes(client, backlog), self._catch_up(client, backlog))
 
     async def _await_host(self) -> None:
-        """Wait until the primary host is online, where one is configured."""
+        """Wait until the primary host, if one is configured, is online."""
         self.status.waits = bool(self._settings.primary_host)
         while self.status.waits and not self._host_is_online:
             self._wake.clear()
@@ -339,7 +339,7 @@ class NodeSession:
         self.status.waits = False
 
     def _add_missed(self, backlog: Backlog) -> None:
-        """Add the time without a connection to the backlog, for each unit up to the reading in its birth."""
+        """Add the time without a connection to the backlog, for each unit up to its birth's reading."""
         now = micros(self._clock())
         ends = {
             number: micros(device.sent_until) if device.sent is not None else now
@@ -368,7 +368,7 @@ class NodeSession:
             await asyncio.sleep(max(FLUSH_S, (self.status.sent - before) / MESSAGES_S))
 
     def _note_silence(self, backlog: Backlog) -> None:
-        """Add a silence of the worker to the backlog: what it read meanwhile comes to the history only."""
+        """Add a silence of the worker to the backlog: only the history gets its readings of that time."""
         silence = self.node.bus.silence
         if silence is not None and silence != self._silence:
             self._silence = silence
@@ -377,15 +377,15 @@ class NodeSession:
             backlog.add(micros(silence.since) + 1, ends, now - self._raw_days * DAY)
 
     async def _send(self, client: aiomqtt.Client, made: Callable[[], Iterable[Publication]]) -> None:
-        """Make messages and send them. No others are made meanwhile: their sequence numbers would not be
-        those of the order in which they are sent."""
+        """Make messages and send them. No others are made meanwhile: sequence numbers must follow the order
+        of sending."""
         async with self._sending:
             for topic, payload in made():
                 await client.publish(topic, payload, qos=0)
                 self.status.sent += 1
 
     async def _catch_up(self, client: aiomqtt.Client, backlog: Backlog) -> None:
-        """Publish the summary of the line once a second, and send what was missed, a piece at a time."""
+        """Publish the summary of the line once a second, and send missed readings piece by piece."""
         store_at = monotonic_now() + STORE_EVERY_S
         while True:
             await asyncio.sleep(SETTLED_S)
@@ -403,8 +403,7 @@ class NodeSession:
     async def _send_piece(
         self, client: aiomqtt.Client, backlog: Backlog, unit: int, span: tuple[int, int]
     ) -> None:
-        """Send the readings of a unit over a span as historical, and remove the span once they were
-        received."""
+        """Send the readings of a unit over a span as historical; remove the span once they were received."""
         rows = await self._history.read(partial(self._past.read, unit=unit, span=span))
         was_born = False
 
@@ -419,7 +418,7 @@ class NodeSession:
             backlog.sent(unit, span[1])
 
     async def _confirm(self, client: aiomqtt.Client, backlog: Backlog) -> None:
-        """Wait until the broker has received everything that was sent, and note up to when that is."""
+        """Wait until the broker has received all messages, and note the time of the last reading."""
         sent_until = max((each.sent_until for each in self.node.devices.values()), default=UnixTime(0.0))
         await client.publish(f"{self.node.document_topic}/received", b"", QUALITY_OF_SERVICE)
         backlog.received = max(backlog.received, micros(sent_until))
@@ -451,14 +450,14 @@ class NodeSession:
 
 
 class _HostState(msgspec.Struct):
-    """State of a host application, as it publishes it (Sparkplug 3.0, 6.4.27)."""
+    """The state of a host application, as it publishes it (Sparkplug 3.0, 6.4.27)."""
 
     online: bool
     timestamp: int
 
 
 async def _first_of(*works: Coroutine[Any, Any, None]) -> None:
-    """Run works together until the first ends, end the others, and raise what it raised."""
+    """Run works together until the first ends, end the others, and raise the first's error."""
     tasks = [asyncio.create_task(work) for work in works]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

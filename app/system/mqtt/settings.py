@@ -22,7 +22,7 @@ Deadband = Annotated[Decimal, Field(ge=0, le=100_000)]
 
 
 def _url(written: str) -> str:
-    """Return the URL of a broker. Raises ValueError for another one, and for one with a password: the
+    """Return the URL of a broker. Raise ValueError for another URL, and for one with a password: the
     configuration is shown, recorded and backed up."""
     try:
         parts = urlsplit(written)
@@ -47,12 +47,12 @@ Identifier = Annotated[OneLine, Field(max_length=80), AfterValidator(_identifier
 
 
 def identifier_of(name: str) -> str:
-    """Return a name as a Sparkplug id, which holds no ``/``, ``+`` or ``#`` (Sparkplug 3.0, 4.1)."""
+    """Return a name as a Sparkplug id, which may not hold ``/``, ``+`` or ``#`` (Sparkplug 3.0, 4.1)."""
     return _RESERVED.sub("-", name).strip() or "-"
 
 
 class Deadbands(StrictModel):
-    """By how much a value has to differ from the one that was sent, in its own unit; 0: any change."""
+    """The least difference, in its own unit, at which a value is sent again; 0: any change."""
 
     actual: Deadband = Decimal(0)
     commanded: Deadband = Decimal(0)
@@ -64,7 +64,7 @@ class MqttSettings(StrictModel):
 
     url: Annotated[str, Field(max_length=500), AfterValidator(_url)]
     ca_file: Path | None = None
-    """Whom to trust instead of the authorities of the machine."""
+    """The certificate authorities to trust instead of those of the machine."""
     certificate: Path | None = None
     key: Path | None = None
     username: Annotated[OneLine, Field(max_length=200)] = ""
@@ -75,7 +75,7 @@ class MqttSettings(StrictModel):
     """The host application whose absence makes the nodes wait; empty: none."""
     deadband: Deadbands = Deadbands()
     overview: StrictBool = False
-    """Show the lines that other servers publish on this broker."""
+    """Whether to show the lines that other servers publish on this broker."""
 
     @model_validator(mode="after")
     def _files_belong_together(self) -> MqttSettings:
@@ -111,7 +111,7 @@ class MqttSettings(StrictModel):
 
     @property
     def place(self) -> str:
-        """How messages name the broker."""
+        """The name of the broker in messages."""
         return f"{self.host}:{self.port}"
 
     @property

@@ -1,5 +1,5 @@
 """Certificates and tokens that give access by OPC UA: the certificate of this server, the clients that it
-trusts by file, and the tokens that programs sign in with.
+trusts by file, and the tokens of programs.
 
 The folder has ``own`` (certificate and key), ``trusted`` (a client is trusted while its certificate is there)
 and ``rejected`` (certificates of clients that tried; an engineer moves one to ``trusted``).
@@ -38,7 +38,7 @@ from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 KEY_BITS = 2048
-"""Length of the server's own RSA key in bits; Basic256Sha256 allows 2048 to 4096 (OPC UA Part 7)."""
+"""The length of the server's RSA key in bits; Basic256Sha256 allows 2048 to 4096 (OPC UA Part 7)."""
 DAYS = 3650
 RENEW_DAYS = 30
 MAX_REJECTED = 20
@@ -52,12 +52,12 @@ _USAGES = (
 
 
 class AccessError(LinesideError):
-    """An error of the certificates of the OPC UA server; the message says why they cannot be used."""
+    """Raised if certificates of the OPC UA server cannot be used; the message has the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnCertificate:
-    """Certificate of this server with its key and the application URI that it states."""
+    """The certificate of this server with its key and application URI."""
 
     certificate: x509.Certificate
     key: rsa.RSAPrivateKey
@@ -70,8 +70,8 @@ def certificate_file(folder: Path) -> Path:
 
 
 def own_certificate(folder: Path, names: Sequence[str], site: str, now: datetime) -> OwnCertificate:
-    """Return the certificate of this server; make it at the first start, and again with the same key and URI
-    before it ends. Raises AccessError."""
+    """Return the certificate of this server; create it at the first start, and again with the same key and
+    URI before it ends. Raise AccessError."""
     file, key_file = certificate_file(folder), folder / "own" / "key.pem"
     try:
         for each in (folder, file.parent, folder / "trusted", folder / "rejected"):
@@ -151,14 +151,14 @@ def uri_of(certificate: x509.Certificate) -> str:
 
 @dataclass(slots=True)
 class TrustList:
-    """List of the clients that are trusted: those whose certificate is a file in ``trusted``."""
+    """The list of trusted clients: those whose certificate is a file in ``trusted``."""
 
     folder: Path
     _files: dict[Path, tuple[int, int]] = field(default_factory=dict)
     _trusted: dict[Path, bytes] = field(default_factory=dict)
 
     def read(self) -> None:
-        """Read the files of the folder ``trusted`` that changed."""
+        """Read the changed files of the folder ``trusted``."""
         found = _stamps(self.folder / "trusted")
         self._trusted = {path: thumb for path, thumb in self._trusted.items() if path in found}
         for path, stamp in found.items():
@@ -173,8 +173,8 @@ class TrustList:
         return thumbprint(certificate) in self._trusted.values()
 
     def reject(self, certificate: bytes) -> None:
-        """Keep the certificate of a client that is not trusted, so that it can be moved to ``trusted``; of
-        many only the newest. Raises OSError."""
+        """Store the certificate of a client that is not trusted, so that it can be moved to ``trusted``; only
+        the newest are kept. Raise OSError."""
         if len(certificate) > MAX_CERTIFICATE:
             return
         try:
@@ -190,7 +190,7 @@ class TrustList:
             path.unlink(missing_ok=True)
 
     def waiting(self) -> int:
-        """Return how many certificates of clients wait to be trusted."""
+        """Return the number of clients' certificates that wait to be trusted."""
         return len(_stamps(self.folder / "rejected"))
 
 
@@ -219,7 +219,7 @@ def thumbprint(certificate: bytes) -> bytes:
 
 @dataclass(slots=True)
 class TokenList:
-    """List of the tokens that programs sign in with: the name of a token is the user, its secret the
+    """The list of the tokens with which programs sign in: the name of a token is the user, its secret the
     password."""
 
     keys: Mapping[str, Key] = field(default_factory=dict)
@@ -229,19 +229,19 @@ class TokenList:
         self.keys = {key.name: key for key in keys}
 
     def find(self, name: str, secret: str) -> Key | None:
-        """Return the token with which a program signs in; None if there is none, or it has expired."""
+        """Return the token with which a program signs in; None if it is unknown or has expired."""
         key = self.keys.get(name)
         if key is None or not secrets.compare_digest(secret_hash(secret), key.hash):
             return None
         return key if self.holds(key) else None
 
     def holds(self, key: Key, now: UnixTime | None = None) -> bool:
-        """Return whether a token is still one with which a program may sign in."""
+        """Return whether programs may still sign in with a token."""
         now = unix_now() if now is None else now
         expires_at = key.expires_at
         return self.keys.get(key.name) == key and (expires_at is None or now < expires_at)
 
 
 def ends_at(certificate: x509.Certificate) -> UnixTime:
-    """Return when a certificate ends."""
+    """Return the end of a certificate."""
     return UnixTime(certificate.not_valid_after_utc.astimezone(UTC).timestamp())

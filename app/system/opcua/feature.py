@@ -1,4 +1,4 @@
-"""The OPC UA server, where one is configured."""
+"""The feature of the OPC UA server, if one is configured."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Limits of the OPC UA server: who may open a channel and a session, how much a client may ask for, and the
-refusal of every change.
+"""Limits of the OPC UA server: for channels, sessions and the requests of a client, and the refusal of every
+change.
 
-asyncua leaves the following open, so it is decided here, by overriding its public methods: a channel without
-security may ask for endpoints only; a certificate is judged before its channel opens; a session belongs to
-the connection that made it (its token is a small number that others can guess); requests, subscriptions and
-what a client does not read are bounded.
+The limits override public methods of asyncua, which leaves the following open: a channel without security may
+request endpoints only; a certificate is checked before its channel opens; a session belongs to the connection
+that made it (its token is a small number that others can guess); requests, subscriptions and unread data are
+bounded.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from bus.pacing import Bucket
 MAX_CONNECTIONS, MAX_CONNECTIONS_OF_ADDRESS = 64, 16
 MAX_SESSIONS = 32
 SIGN_IN_S = 10.0
-"""How long a connection may take to its session, or stay without one."""
+"""The time that a connection may take to its session, or stay without a session."""
 MIN_SESSION_MS, MAX_SESSION_MS = 5_000, 120_000
 MAX_SUBSCRIPTIONS, MAX_SUBSCRIPTIONS_OF_SESSION = 100, 10
 MAX_ITEMS, MAX_ITEMS_OF_SESSION = 60_000, 20_000
@@ -50,11 +50,11 @@ MAX_UNCONFIRMED = 10
 MAX_LIFETIME, MAX_KEEP_ALIVE = 3_000, 1_000
 MIN_CHUNK, MAX_CHUNK, MAX_MESSAGE = 16, 65_535, 1_048_576
 MAX_UNREAD = 1_048_576
-"""Bytes that a client has not read; it is read from no more until it has."""
+"""The most unread bytes of a client; with more, nothing is read from it."""
 READ_WITHIN_S = 10.0
 REQUESTS_PER_S, MAX_REQUESTS_AT_ONCE = 200.0, 1_000.0
 REQUEST_BYTES = 1_024
-"""A message counts as one request for each of so many bytes."""
+"""The bytes of a message that count as one request."""
 MAX_PENDING = 20
 MAX_READS, MAX_BROWSES, MAX_PATH = 1_000, 100, 20
 MAX_REFERENCES = 5_000
@@ -74,7 +74,7 @@ _READS = frozenset(
 
 
 class ReadOnly(PermissionRuleset):
-    """Permission rules for read-only sessions: any service but those in ``_READS`` is refused."""
+    """The permission rules of read-only sessions: only services in ``_READS`` are permitted."""
 
     def check_validity(self, user: User, action_type: ua.NodeId, body: object) -> bool:  # noqa: ARG002
         """Return whether this user may call the service that ``action_type`` names."""
@@ -82,7 +82,7 @@ class ReadOnly(PermissionRuleset):
 
 
 class Tokens(UserManager):
-    """User manager that signs programs in by the name and secret of an API token."""
+    """The user manager that signs programs in by the name and secret of an API token."""
 
     def __init__(self, tokens: TokenList) -> None:
         self._tokens = tokens
@@ -102,7 +102,7 @@ class Tokens(UserManager):
 
 @dataclass(slots=True)
 class Refusals:
-    """Counter of refusals by reason. Each reason is logged once."""
+    """A counter of refusals by reason. Each reason is logged once."""
 
     by_reason: Counter[str] = field(default_factory=Counter)
 
@@ -119,7 +119,7 @@ class Refusals:
 
 
 class ViewerSession(InternalSession):
-    """Session of a client that only reads. It belongs to the connection that created it."""
+    """A session of a client that only reads. It belongs to the connection that created it."""
 
     iserver: ViewerServer
 
@@ -129,7 +129,7 @@ class ViewerSession(InternalSession):
         self.key: Key | None = None
         self._certificate: bytes | None = None
         self.reads = asyncio.Event()
-        """Set while the client reads what it is sent."""
+        """Set while the client reads the data sent to it."""
         self.reads.set()
         super().__init__(*args, **options)
 
@@ -141,7 +141,7 @@ class ViewerSession(InternalSession):
         return await super().create_session(params, sockname)
 
     def activate_session(self, params: Any, peer_certificate: bytes | None) -> Any:
-        """Sign a program in by its token, on the secure channel of the client that created the session."""
+        """Sign a program in by its token, on the secure channel of the session's client."""
         if peer_certificate is None or peer_certificate != self._certificate:
             raise self.iserver.refusal("BadSecurityChecksFailed", self.name)
         try:
@@ -153,7 +153,7 @@ class ViewerSession(InternalSession):
         return result
 
     async def close_session(self, delete_subs: bool = True) -> None:  # noqa: ARG002
-        """Close the session and its subscriptions, so that no other session can take these over."""
+        """Close the session and its subscriptions, so that no other session can take them over."""
         await super().close_session(True)
         self.items.clear()
 
@@ -176,7 +176,7 @@ class ViewerSession(InternalSession):
             raise self.iserver.refusal("BadTooManyOperations", self.name)
         return await super().translate_browsepaths_to_nodeids(params)
 
-    # --- nothing is changed ---
+    # --- refusal of changes ---
 
     async def write(self, params: Any) -> Any:
         """Refuse to write."""
@@ -197,7 +197,7 @@ class ViewerSession(InternalSession):
         if len(self.items) >= MAX_SUBSCRIPTIONS_OF_SESSION:
             raise self.iserver.refusal("BadTooManySubscriptions", self.name)
         wanted = float(params.RequestedPublishingInterval)
-        # NaN is less than nothing, so it becomes the shortest.
+        # NaN is not greater, so it becomes the shortest interval.
         is_longer = wanted > MIN_PUBLISHING_MS
         params.RequestedPublishingInterval = (
             min(wanted, MAX_PUBLISHING_MS) if is_longer else MIN_PUBLISHING_MS
@@ -248,7 +248,7 @@ class ViewerSession(InternalSession):
         return super().republish(params)
 
     async def delete_subscriptions(self, ids: list[int]) -> Any:
-        """Delete subscriptions; one of another session counts as unknown."""
+        """Delete subscriptions; those of another session count as unknown."""
         unknown = ua.StatusCode(ua.StatusCodes.BadSubscriptionIdInvalid)
         own = [each for each in dict.fromkeys(ids) if each in self.items]
         done = dict(zip(own, await super().delete_subscriptions(own), strict=True))
@@ -257,7 +257,7 @@ class ViewerSession(InternalSession):
         return [done.get(each, unknown) for each in ids]
 
     def publish(self, acks: Any = None) -> Any:
-        """Acknowledge notifications of the session's own subscriptions; one of another session counts as
+        """Acknowledge notifications of the session's own subscriptions; those of another session count as
         unknown."""
         self._forget_expired()
         if not self.items:
@@ -277,14 +277,14 @@ class ViewerSession(InternalSession):
             raise ServiceError(ua.StatusCodes.BadSubscriptionIdInvalid)
 
     async def _admit(self, wanted: Any, most: int) -> None:
-        """Wait until the client has read what it was sent; refuse a request for more than ``most`` nodes."""
+        """Wait until the client has read its data; refuse a request for more than ``most`` nodes."""
         await self.reads.wait()
         if len(wanted) > most:
             raise self.iserver.refusal("BadTooManyOperations", self.name)
 
 
 class ViewerServer(InternalServer):
-    """Server whose sessions only read, with its certificate, its trust list and the tokens of programs."""
+    """The server whose sessions only read, with its certificate, trust list and tokens of programs."""
 
     def __init__(self, own: OwnCertificate, trust: TrustList, tokens: TokenList) -> None:
         super().__init__(Tokens(tokens))
@@ -295,7 +295,7 @@ class ViewerServer(InternalServer):
         self.allow_remote_admin = False
         self.supported_tokens = (ua.UserNameIdentityToken,)
         self.min_session_timeout_ms, self.max_session_timeout_ms = MIN_SESSION_MS, MAX_SESSION_MS
-        self.max_pending_activation_seconds = 0.0  # `Gate.sweep` ends those too that do not read
+        self.max_pending_activation_seconds = 0.0  # `Gate.sweep` also ends those that do not read
         self.max_connections = MAX_CONNECTIONS
         self.max_pending_messages_per_connection = MAX_PENDING
         self.max_subscriptions = MAX_SUBSCRIPTIONS
@@ -331,11 +331,11 @@ class ViewerServer(InternalServer):
         self.sessions.pop(session.auth_token, None)
 
     def register_server(self, server: Any, conf: Any = None) -> None:  # noqa: ARG002
-        """Refuse other servers: this one is no directory of them."""
+        """Refuse other servers: this server is not a directory of them."""
         raise self.refusal("BadServiceUnsupported")
 
     def add_own_endpoint(self, uri: str, name: str, url: str) -> None:
-        """Offer the one endpoint: signed and encrypted, for programs with a token."""
+        """Offer the only endpoint: signed and encrypted, for programs with a token."""
         sign_in = ua.UserTokenPolicy()
         sign_in.PolicyId, sign_in.TokenType = "token", ua.UserTokenType.UserName
         sign_in.SecurityPolicyUri = SecurityPolicyBasic256Sha256.URI
@@ -355,8 +355,8 @@ class ViewerServer(InternalServer):
 
 
 class TrustedPolicy(SecurityPolicyFactory):
-    """Security policy *Basic256Sha256* with *Sign & Encrypt*, for clients that are trusted. ``refuse``: ends
-    the connection with a reason."""
+    """The security policy *Basic256Sha256* with *Sign & Encrypt*, for trusted clients. ``refuse``: ends the
+    connection with a reason."""
 
     def __init__(self, server: ViewerServer, refuse: Callable[[str], None]) -> None:
         mode = ua.MessageSecurityMode.SignAndEncrypt
@@ -365,11 +365,11 @@ class TrustedPolicy(SecurityPolicyFactory):
         )
         self._trust, self._refuse = server.trust, refuse
         self.peer: bytes | None = None
-        """The certificate of the client, after it was found to be trusted."""
+        """The certificate of the client, once the client is trusted."""
 
     def matches(self, uri: str, mode: Any = None) -> bool:
-        """Return whether the policy is the one that a client wants. False for a channel without security, on
-        which the server lists its endpoints and nothing else."""
+        """Return whether a client wants this policy. False for a channel without security, on which the
+        server only lists its endpoints."""
         if uri.endswith("#None"):
             return False
         if not super().matches(uri, mode):
@@ -377,8 +377,8 @@ class TrustedPolicy(SecurityPolicyFactory):
         return True
 
     def create(self, peer_certificate: bytes | None) -> Any:
-        """Return the policy of a channel with a client. Raises BadUserAccessDenied for one that is not
-        trusted, after which the connection is closed."""
+        """Return the policy of a channel with a client. Raise BadUserAccessDenied for a client that is not
+        trusted; the connection is then closed."""
         certificate = bytes(peer_certificate or b"")
         if not self._trust.trusts(certificate):
             self._trust.read()
@@ -401,7 +401,7 @@ def _is_valid_now(certificate: bytes) -> bool:
 
 
 class GuardedConnection(OPCUAProtocol):
-    """Connection of a client, limited in what it sends, what it does not read, and how long it takes to its
+    """The connection of a client, with limits for its requests, its unread data, and the time to its
     session."""
 
     def __init__(self, gate: Gate) -> None:
@@ -433,17 +433,17 @@ class GuardedConnection(OPCUAProtocol):
         session = None if self.processor is None else self.processor.session
         super().connection_lost(ex)
         if session is not None:
-            # A session with subscriptions would wait for its client to return on another connection.
+            # A session with subscriptions would wait for its client's return on another connection.
             self.closing_tasks.append(asyncio.create_task(session.close_session(True)))
 
     def data_received(self, data: bytes) -> None:
-        """Pass each complete chunk on to asyncua; refuse what is no chunk, or too large."""
+        """Pass each complete chunk to asyncua; refuse other data and chunks that are too large."""
         if self.processor is None or self.transport is None or self.transport.is_closing():
             return
         self._received += data
         while len(self._received) >= 8:
             size = int.from_bytes(self._received[4:8], "little")
-            # What is not of this protocol, such as a request of HTTP or TLS, has an absurd size here.
+            # Data of another protocol, such as HTTP or TLS, has an absurd size here.
             if not MIN_CHUNK <= size <= MAX_CHUNK:
                 self.refuse("BadTcpMessageTooLarge")
                 return
@@ -505,15 +505,15 @@ class GuardedConnection(OPCUAProtocol):
 
     @property
     def session(self) -> ViewerSession | None:
-        """The session of the connection, once a program has signed in; None before."""
+        """The session of the connection; None until a program has signed in."""
         session = None if self.processor is None else self.processor.session
         return session if isinstance(session, ViewerSession) and session.is_activated() else None
 
 
 def forget_loggers() -> None:
-    """Drop the loggers that asyncua makes for each subscription: the module logging would keep them, 2 kB
-    each, for good."""
-    # Without a logger, their common name would have a list of them.
+    """Drop the loggers that asyncua makes for each subscription: the module logging would keep 2 kB for each,
+    forever."""
+    # Without this logger, their common name would have a list of them.
     logging.getLogger(LOGGERS.rstrip("."))
     known = logging.root.manager.loggerDict
     for name in [name for name in known if name.startswith(LOGGERS)]:
@@ -522,7 +522,7 @@ def forget_loggers() -> None:
 
 @dataclass(eq=False)
 class Gate:
-    """Port of the OPC UA server, with its connections and their limits."""
+    """The port of the OPC UA server, with its connections and their limits."""
 
     server: ViewerServer
     connections: list[GuardedConnection] = field(default_factory=list)
@@ -534,13 +534,13 @@ class Gate:
     )
 
     async def bind(self, host: str, port: int) -> asyncio.Server:
-        """Take the port, for a server that does not listen yet. Raises OSError."""
+        """Take the port, for a server that does not listen yet. Raise OSError."""
         loop = asyncio.get_running_loop()
         return await loop.create_server(lambda: GuardedConnection(self), host, port, start_serving=False)
 
     async def sweep(self) -> None:
-        """Close connections whose certificate or token is no longer valid, or whose session has ended;
-        runs until canceled."""
+        """Close connections whose certificate or token is no longer valid, or whose session has ended, until
+        canceled."""
         while True:
             await asyncio.sleep(SWEEP_S)
             self.server.trust.read()

@@ -1,8 +1,7 @@
-"""The pipes between the server and its OPC UA process: the live state one way, how it does the other. Pure.
+"""The pipes between the server and its OPC UA process: one has the live state, the other the status. Pure.
 
-The process gets the updates of the live state as every follower of it, first those that lead to the complete
-state of a bus, and judges them by the same rules. Nothing that it sends changes anything but what is shown
-about it.
+The process gets the same updates of the live state as every follower, first those that make up the complete
+state of a bus, and applies the same rules to them. Its messages only change what is shown about it.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ class _Tagged(msgspec.Struct, frozen=True, tag_field="is"):
 
 
 class Begin(_Tagged, frozen=True, tag="begin"):
-    """First message to the process, with its settings. ``folder``: of the certificates; ``names``: of this
-    machine, for its certificate; ``buses``: the settings of each bus, as JSON."""
+    """The first message to the process, with its settings. ``folder``: of the certificates; ``names``: of
+    this machine, for its certificate; ``buses``: the settings of each bus, as JSON."""
 
     site: str
     version: str
@@ -44,14 +43,14 @@ class Begin(_Tagged, frozen=True, tag="begin"):
 
 
 class Changes(_Tagged, frozen=True, tag="changes"):
-    """Message with the updates that a bus worker reported."""
+    """A message with the updates of a bus worker."""
 
     bus: str
     updates: list[Reading | ParameterValue | UnitLink | BusLink | BusFigures]
 
 
 class StandingAlarm(msgspec.Struct, frozen=True, array_like=True):
-    """An alarm that is active or not acknowledged, and that nothing hides. ``since``: when it came."""
+    """An alarm that is active or unacknowledged and not hidden. ``since``: the time when it came."""
 
     name: str
     priority: AlarmPriority
@@ -61,7 +60,7 @@ class StandingAlarm(msgspec.Struct, frozen=True, array_like=True):
 
 
 class UnitAlarms(_Tagged, frozen=True, tag="alarms"):
-    """Message with the standing alarms of units of a bus, the most important first."""
+    """A message with the standing alarms of units of a bus, the most important first."""
 
     bus: str
     of_units: dict[int, list[StandingAlarm]]
@@ -83,9 +82,9 @@ class Keys(_Tagged, frozen=True, tag="keys"):
 
 
 class Status(_Tagged, frozen=True, tag="status"):
-    """Status message of the process, sent once a second. ``refused``: connections, sessions and requests
-    that were refused, since its start; ``waiting``: certificates of clients that wait to be
-    trusted; ``accounts``: the ids of the tokens of its sessions; ``fault``: why it does not serve."""
+    """The status of the process, sent once a second. ``refused``: connections, sessions and requests that it
+    refused since its start; ``waiting``: clients' certificates that wait to be trusted; ``accounts``: the ids
+    of the tokens of its sessions; ``fault``: why it does not serve."""
 
     is_serving: bool = False
     sessions: int = 0
@@ -106,20 +105,20 @@ from_process: msgspec.msgpack.Decoder[Status] = msgspec.msgpack.Decoder(Status)
 
 
 def frame(message: ToProcess | Status) -> bytes:
-    """Return a message as it passes a pipe: its length in four bytes, then the message."""
+    """Return a message as sent over a pipe: its length in four bytes, then the message."""
     data = _encoder.encode(message)
     return len(data).to_bytes(4, "big") + data
 
 
 class Frames:
-    """Decoder that splits the bytes of a pipe into messages."""
+    """A decoder that splits the bytes of a pipe into messages."""
 
     def __init__(self, decoder: msgspec.msgpack.Decoder[Any]) -> None:
         self._decoder = decoder
         self._data = bytearray()
 
     def feed(self, data: bytes) -> Iterator[Any]:
-        """Yield the messages that are complete. Raises ValueError for what is none."""
+        """Yield the complete messages. Raise ValueError for other bytes."""
         self._data += data
         while len(self._data) >= 4:
             size = int.from_bytes(self._data[:4], "big")
@@ -133,7 +132,7 @@ class Frames:
 
 
 def followed(updates: Iterable[Update]) -> list[Any]:
-    """Return those updates that the process needs; of the figures of a bus only how long a scan takes."""
+    """Return the updates that the process needs; of a bus's figures only the duration of a scan."""
     found: list[Any] = []
     for update in updates:
         if isinstance(update, BusFigures):
@@ -144,7 +143,7 @@ def followed(updates: Iterable[Update]) -> list[Any]:
 
 
 def state_of(bus: BusLive) -> Changes:
-    """Return the updates that lead to the present state of a bus."""
+    """Return the updates that make up the present state of a bus."""
     updates: list[Any] = [bus.link]
     for unit in bus.units.values():
         updates += [unit.link, *unit.parameters.values()]

@@ -1,4 +1,4 @@
-"""Whether an OPC UA server listens at a port, by the first message of the protocol (OPC UA Part 6, 7.1)."""
+"""A probe for an OPC UA server at a port, by the protocol's first message (OPC UA Part 6, 7.1)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 
 
 async def is_opcua_server(host: str, port: int) -> bool:
-    """Return whether what listens there speaks OPC UA: it acknowledges a hello. Raises OSError if nothing
+    """Return whether an OPC UA server listens there: it acknowledges a hello. Raise OSError if nothing
     listens."""
     host = EVERY_ADDRESS.get(host, host)
     reader, writer = await asyncio.open_connection(host, port)

@@ -1,4 +1,4 @@
-"""The OPC UA process of this server: started, fed with the live state, watched, and started again.
+"""The OPC UA process of this server: start it, feed it with the live state, watch it, start it again.
 
 The server only writes into its pipe, and never waits for it: a process that does not read, or is silent, is
 killed.
@@ -51,19 +51,19 @@ MODULE = "app.cli.opcua"
 NICE = 5
 """The process yields to the server and the bus workers."""
 FLUSH_S = 0.1
-"""Changes of this span are sent together: no client is told of them more often."""
+"""The span of changes that are sent together: clients get none more often."""
 KEYS_EVERY_S = 5.0
 SILENT_S, SILENT_AT_START_S = 30.0, 180.0
-"""Without a status for so long the process is killed; it sends one each second once its code is imported,
-which takes long on a machine that has much else to do."""
+"""The seconds without a status after which the process is killed; it sends one each second once its code is
+imported, which takes long on a busy machine."""
 MAX_UNREAD = 32_000_000
-"""Bytes that wait for the process; one that lets more wait hangs."""
+"""The most bytes that wait for the process; if more wait, it hangs."""
 END_S = 1.0
 log = structlog.get_logger()
 
 
 class ProcessError(LinesideError):
-    """An error of the OPC UA process, which ended or does not work; the message says why."""
+    """Raised if the OPC UA process ended or does not work; the message has the reason."""
 
 
 def require_package() -> None:
@@ -73,7 +73,7 @@ def require_package() -> None:
 
 
 class OpcuaProcess:
-    """Runner of the OPC UA process: starts it, feeds it with the live state, watches it, and starts it again.
+    """The runner of the OPC UA process: starts it, feeds it with the live state, watches it, starts it again.
     ``alarms_of``: the standing alarms of a unit."""
 
     def __init__(
@@ -101,7 +101,7 @@ class OpcuaProcess:
         """The address at which the process listens, for people."""
         return f"{self._begin.host}:{self._begin.port}"
 
-    # --- what the line reports ---
+    # --- reports of the line ---
 
     def _note(self, bus: str, updates: Sequence[Update]) -> None:
         if self._is_fed:
@@ -132,7 +132,7 @@ class OpcuaProcess:
             await asyncio.sleep(delay.ended(monotonic_now() - began))
 
     async def _run(self) -> None:
-        """Run one process until it ends. Raises ProcessError, StoreError."""
+        """Run one process until it ends. Raise ProcessError or StoreError."""
         require_package()
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-P", "-m", MODULE), stdin=PIPE, stdout=PIPE, preexec_fn=_begin_group
@@ -163,7 +163,7 @@ class OpcuaProcess:
         await process.wait()
 
     async def _feed(self, process: Process) -> None:
-        """Send the process the complete state of each bus, then what changes."""
+        """Send the process the complete state of each bus, then the changes."""
         self._send(process, self._begin)
         for bus in self._buses:
             self._send(process, state_of(bus))
@@ -192,8 +192,7 @@ class OpcuaProcess:
         return UnitAlarms(bus, {unit: list(map(_standing, self._alarms_of(bus, unit))) for unit in units})
 
     def _send(self, process: Process, message: ToProcess) -> None:
-        """Write a message to the process without waiting. Raises ProcessError if the process does not
-        read."""
+        """Write a message to the process without waiting. Raise ProcessError if the process does not read."""
         pipe = process.stdin
         assert pipe is not None
         if pipe.transport.get_write_buffer_size() > MAX_UNREAD:
@@ -201,7 +200,7 @@ class OpcuaProcess:
         pipe.write(frame(message))
 
     async def _listen(self, process: Process) -> None:
-        """Keep the newest status of the process. Raises ProcessError once it ends, or is silent."""
+        """Keep the newest status of the process. Raise ProcessError once it ends or is silent."""
         assert process.stdout is not None
         frames, patience_s = Frames(from_process), SILENT_AT_START_S
         while True:
@@ -235,7 +234,7 @@ class OpcuaProcess:
             await asyncio.sleep(KEYS_EVERY_S)
 
     async def _note_use(self) -> None:
-        """Store when the tokens of open sessions were used last."""
+        """Store the time at which the tokens of open sessions were last used."""
         now, used = self._clock(), set(self.status.accounts)
         if not used:
             return
@@ -248,11 +247,11 @@ class OpcuaProcess:
         for id_ in old:
             await self._database.write(partial(store.note_token_used, number=id_, now=now))
 
-    # --- what is shown ---
+    # --- status ---
 
     @property
     def to_do(self) -> Message | None:
-        """What an engineer has to do for OPC UA to work; None for nothing."""
+        """The action by which an engineer makes OPC UA work; None if it works."""
         if self.fault is not None:
             return Message("opcua_check")
         if self.status.waiting:
@@ -274,7 +273,7 @@ class OpcuaProcess:
 
 
 def _standing(alarm: Alarm) -> StandingAlarm:
-    """Return what clients are told of an alarm."""
+    """Return an alarm in the form for clients."""
     facts, definition = alarm.facts, alarm.definition
     name = definition.name if isinstance(definition.name, str) else in_english(definition.name)
     since = facts.came or facts.since or UnixTime(0.0)
@@ -290,7 +289,7 @@ def _keys(connection: StoreConnection) -> list[Key]:
 
 
 def _begin_group() -> None:
-    """Lower the priority of the new process, and take it out of the process group of the terminal, so that
-    Ctrl-C reaches it by the server."""
+    """Lower the priority of the new process, and take it out of the terminal's process group, so that Ctrl-C
+    reaches it through the server."""
     os.setpgrp()
     os.nice(NICE)

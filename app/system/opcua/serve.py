@@ -1,4 +1,4 @@
-"""The OPC UA process: it follows the live state over a pipe and serves it until that pipe ends."""
+"""The OPC UA process: it follows the live state over a pipe and serves it until the pipe ends."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ from bus.messages import Message
 from bus.settings import BusSettings
 
 TICK_S = 0.5
-"""How often ages are judged where nothing is reported."""
+"""The seconds between checks of ages if nothing is reported."""
 STATUS_S = 1.0
 READ_BYTES = 262_144
 DICTIONARIES = tuple(map(ua.NodeId, (ua.ObjectIds.OpcUa_BinarySchema, ua.ObjectIds.OpcUa_XmlSchema)))
-"""Every client has these descriptions of the standard types, which are 200 and 340 kB: read or monitored a
+"""Each client has these descriptions of the standard types, which are 200 and 340 kB: read or monitored a
 thousand times at once they would fill the memory."""
 log = structlog.get_logger()
 
 
 class Follower:
-    """Live state in the OPC UA process, and which units have changed since their nodes were written."""
+    """The live state in the OPC UA process, and the units that changed since their nodes were written."""
 
     def __init__(self, live: LiveState) -> None:
         self.live = live
@@ -80,7 +80,7 @@ class Follower:
         self._others |= {(name, unit) for unit in changed_by(bus, others)[0]}
 
     def judge_ages(self) -> None:
-        """Note the units whose link state has changed by the time that passed."""
+        """Note the units whose link state has changed as time passed."""
         now = unix_now()
         for name, bus in self.live.buses.items():
             for number, unit in bus.units.items():
@@ -90,7 +90,7 @@ class Follower:
                     self._others.add((name, number))
 
     def changed(self) -> list[tuple[tuple[str, int], bool]]:
-        """Return the units whose nodes are to be written, and whether more than their reading has changed."""
+        """Return the units whose nodes must be written, and whether more than the reading has changed."""
         found = [(place, place in self._others) for place in sorted(self._readings | self._others)]
         self._readings.clear()
         self._others.clear()
@@ -98,8 +98,8 @@ class Follower:
 
 
 async def serve(source: AsyncIterator[object], report: StatusPipe) -> None:
-    """Serve OPC UA clients with what the messages of ``source`` report, until it ends. Raises LinesideError
-    if that is not possible."""
+    """Serve OPC UA clients with the data of the messages of ``source`` until it ends. Raise LinesideError if
+    that is not possible."""
     begin = await anext(source)
     assert isinstance(begin, Begin)
     buses = [BusSettings.model_validate_json(each) for each in begin.buses]
@@ -134,7 +134,7 @@ async def serve(source: AsyncIterator[object], report: StatusPipe) -> None:
 
 
 async def _built(begin: Begin, server: ViewerServer, uri: str, follower: Follower) -> LineNodes:
-    # What asyncua logs of each request and of what is wrong in it is counted by the gate.
+    # The gate counts what asyncua logs of requests and their faults.
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     made = Server(iserver=server)
     await made.init()
@@ -158,7 +158,7 @@ async def _follow(source: AsyncIterator[object], follower: Follower) -> None:
 
 
 async def _write(follower: Follower, nodes: LineNodes) -> None:
-    """Write the nodes of what the server has reported as soon as it has, and judge ages every `TICK_S`."""
+    """Write the nodes of new data as soon as the server reports it, and check ages every `TICK_S`."""
     judge_at = monotonic_now()
     while True:
         now = unix_now()
@@ -174,7 +174,7 @@ async def _write(follower: Follower, nodes: LineNodes) -> None:
 
 
 class StatusPipe:
-    """Writer of the status of the process to the server, once a second. ``gate``: set once clients are
+    """The writer of the process's status to the server, once a second. ``gate``: set once clients are
     served."""
 
     def __init__(self, descriptor: int) -> None:
@@ -183,7 +183,7 @@ class StatusPipe:
         self.certificate_ends: UnixTime | None = None
 
     async def run(self) -> None:
-        """Report until canceled. Raises OSError once nobody listens."""
+        """Report until canceled. Raise OSError once nobody listens."""
         while True:
             self.write(self._status())
             await asyncio.sleep(STATUS_S)
@@ -210,12 +210,12 @@ class StatusPipe:
         )
 
     def write(self, status: Status) -> None:
-        """Write a status. Raises OSError."""
+        """Write a status. Raise OSError."""
         os.write(self._descriptor, frame(status))
 
 
 async def _messages() -> AsyncIterator[object]:
-    """Yield what the server sends by standard input."""
+    """Yield the messages of the server from standard input."""
     loop, reader = asyncio.get_running_loop(), asyncio.StreamReader()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     frames = Frames(to_process)
@@ -229,8 +229,8 @@ async def _run(report: StatusPipe) -> None:
 
 
 def run() -> int:
-    """Serve until standard input ends; return the exit code. Only the status goes to standard output: what
-    libraries print goes to the log."""
+    """Serve until standard input ends; return the exit code. Only the status goes to standard output: the
+    output of libraries goes to the log."""
     report = StatusPipe(os.dup(sys.stdout.fileno()))
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     try:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from app.system.opcua.process import OpcuaProcess
 
 FOLDER = "opcua"
-"""In the data folder: the certificate of the server, and whom it trusts."""
+"""The folder in the data folder with the server's certificate and its trusted clients."""
 ShortText = Annotated[OneLine, Field(max_length=100)]
 
 
@@ -21,16 +21,16 @@ class OpcuaSettings(StrictModel):
     """The OPC UA server."""
 
     host: Annotated[OneLine, Field(max_length=253)] = ""
-    """Where it listens; empty: where the dashboard does."""
+    """The address at which it listens; empty: that of the dashboard."""
     port: Annotated[int, Field(strict=True, ge=1, le=65535)] = 4840
     names: Annotated[
         tuple[Annotated[OneLine, Field(min_length=1, max_length=253)], ...], Field(max_length=20)
     ] = ()
-    """Further names and addresses of this machine, for the certificate that is made at the first start."""
+    """Further names and addresses of this machine, for the certificate that the first start creates."""
     manufacturer: ShortText = ""
-    """Who built the machine, in its identification."""
+    """The builder of the machine, for its identification."""
     serial_number: ShortText = ""
 
 
 class OpcuaProcesses(tuple["OpcuaProcess", ...]):
-    """The process of this server; empty where none is configured, whose code is then not imported."""
+    """The process of this server; empty if none is configured: its code is then not imported."""

@@ -1,7 +1,7 @@
-"""The nodes of the lines, in the terms of OPC UA for Machinery (OPC 40001-1): each bus a machine with its
+"""The nodes of the lines, in the terms of OPC UA for Machinery (OPC 40001-1): each bus is a machine with its
 identification, each unit a component of it, each tag a variable.
 
-The types of the companion specifications have the node ids of these, so that clients know them; they are made
+The types of the companion specifications keep their node ids, so that clients know them; they are created
 here, only as far as they are used.
 """
 
@@ -28,7 +28,7 @@ OWN = 1
 """The namespace of the application, which is that of its nodes (OPC UA Part 5, 6.3.1)."""
 HAS_ADD_IN = 17604
 MAKER, MODEL = "POWERTEC", "DIGIMAX IV"
-"""Of every unit."""
+"""The maker and model of every unit."""
 _VARIANTS = {
     "number": ua.VariantType.Double,
     "integer": ua.VariantType.Int64,
@@ -43,7 +43,7 @@ _NO_VALUE = ua.Variant(None, ua.VariantType.Null)
 _READ = ua.AccessLevel.CurrentRead.mask
 _PLAIN = ua.NodeId(ua.ObjectIds.BaseObjectType)
 _DATA, _ANALOG = ua.NodeId(ua.ObjectIds.BaseDataVariableType), ua.NodeId(15318)
-"""Types of variables: a value, and one with a unit (*BaseAnalogType*)."""
+"""The types of variables: a value, and a value with a unit (*BaseAnalogType*)."""
 ALARM_FOLDER = "Alarms"
 ALARM_COLUMNS = {
     "Names": ua.VariantType.String,
@@ -52,12 +52,12 @@ ALARM_COLUMNS = {
     "Acknowledged": ua.VariantType.Boolean,
     "Since": ua.VariantType.DateTime,
 }
-"""The variables of the alarms of a unit that stand: lists of one length."""
+"""The variables of the standing alarms of a unit: lists of one length."""
 
 
 class Sample(ua.DataValue):
-    """A value with its status and times that nobody changes. asyncua copies each that it delivers in depth,
-    which is half of its cost: of this one it gets the same."""
+    """A value with its status and times that nobody changes. asyncua deep-copies each value that it delivers,
+    at half of its cost: of this class it gets the same object."""
 
     __slots__ = ()
 
@@ -66,7 +66,7 @@ class Sample(ua.DataValue):
 
 
 class Place(NamedTuple):
-    """Where a node is made: its id, the node above it, its browse name, and what refers to it."""
+    """The place of a node: its id, the node above it, its browse name, and the reference to it."""
 
     node: ua.NodeId
     parent: ua.NodeId
@@ -77,8 +77,8 @@ class Place(NamedTuple):
 
 @dataclass(slots=True)
 class UnitNodes:
-    """The variables of a unit in the order of its tags. ``shown``: what was written to each last; ``scale``:
-    that of its units and ranges; ``alarms``: those that were written last."""
+    """The variables of a unit in the order of its tags. ``shown``: the points that were last written;
+    ``scale``: that of its units and ranges; ``alarms``: those that were last written."""
 
     bus: BusLive
     unit: UnitLive
@@ -90,7 +90,7 @@ class UnitNodes:
 
 
 class LineNodes:
-    """Nodes of all buses in the address space of the server."""
+    """The nodes of all buses in the address space of the server."""
 
     def __init__(self, server: Server, manufacturer: str, serial_number: str) -> None:
         self._server = server
@@ -101,7 +101,7 @@ class LineNodes:
     # --- build ---
 
     async def build(self, buses: Sequence[BusLive]) -> None:
-        """Make the nodes of all buses, a unit at a time so that the process responds meanwhile."""
+        """Create the nodes of all buses, unit by unit so that the process responds meanwhile."""
         self._di = await self._server.register_namespace(DEVICES)
         self._machinery = await self._server.register_namespace(MACHINERY)
         await self._build_types()
@@ -197,8 +197,8 @@ class LineNodes:
             await self._property(node, name, variant, ua.NodeId(variant.VariantType.value), self._di)
 
     async def _tag(self, tag: Tag, where: Place) -> ua.NodeId:
-        """Make the variable of a tag. A number has a unit and a range, which follow the scale of its unit; a
-        parameter has the unit of its integer, if it has one."""
+        """Create the variable of a tag. A number has a unit and a range, which follow the scale of its unit;
+        a parameter has the unit of its integer, if any."""
         data_type = ua.NodeId(_VARIANTS[tag.kind].value)
         has_unit = tag.kind == "number" or bool(tag.unit)
         await self._variable(where, _ANALOG if has_unit else _DATA, _NO_VALUE, data_type, tag.description)
@@ -266,8 +266,8 @@ class LineNodes:
     async def write(
         self, place: tuple[str, int], alarms: Sequence[StandingAlarm], now: UnixTime, *, others: bool
     ) -> None:
-        """Write what changed of a unit since the last call. ``alarms``: those that stand; ``others``: not
-        only its reading may differ."""
+        """Write the changes of a unit since the last call. ``alarms``: its standing ones; ``others``: more
+        than its reading may differ."""
         nodes = self.units[place]
         scale = scale_now(nodes.bus, nodes.unit)
         if scale != nodes.scale:
@@ -293,7 +293,7 @@ class LineNodes:
     async def _write_alarms(
         self, place: tuple[str, int], alarms: Sequence[StandingAlarm], now: UnixTime
     ) -> None:
-        """Write the alarms of a unit that stand, one list for each thing that is told of them."""
+        """Write the standing alarms of a unit, one list for each of their properties."""
         bus, unit = place
         at = datetime.fromtimestamp(float(now), UTC)
         for (column, variant), values in zip(ALARM_COLUMNS.items(), alarm_lists(alarms), strict=True):

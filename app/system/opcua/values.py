@@ -1,6 +1,6 @@
 """The values of a unit with their quality, as the status codes of OPC UA, and engineering units. Pure.
 
-What a value is, and how old it is, is judged by `app.system.tags` and the live state, as everywhere.
+`app.system.tags` and the live state determine values and their ages, as everywhere.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from bus.contract import UnitLinkState
 from bus.instants import UnixTime
 
 Quality = Literal["Good", "UncertainLastUsableValue", "BadNoCommunication", "BadWaitingForInitialData"]
-"""Status codes by their names in OPC UA Part 8, 6.3."""
+"""The status codes by their names in OPC UA Part 8, 6.3."""
 QUALITY: dict[UnitLinkState, Quality] = {
     "online": "Good",
     "stale": "UncertainLastUsableValue",
@@ -53,13 +53,13 @@ UNITS = {
     "psi": "PS",
     "°C": "CEL",
 }
-"""Units as labels write them, and their common codes (UNECE Recommendation 20)."""
+"""The units as labels write them, with their common codes (UNECE Recommendation 20)."""
 OTHER_UNIT = -1
 """The id of a unit without a common code (OPC UA Part 8, 5.6.3.3)."""
 
 
 class Point(NamedTuple):
-    """A value with its quality and the time of its source. A bad one has no value."""
+    """A value with its quality and the time of its source. A bad point has no value."""
 
     value: Value
     quality: Quality
@@ -74,7 +74,7 @@ def unit_id(unit: str) -> int:
 
 
 def unit_points(bus: BusLive, unit: UnitLive, scale: Scale, alarms: int, now: UnixTime) -> tuple[Point, ...]:
-    """Return the values of a unit in the order of its tags. ``alarms``: how many are active."""
+    """Return the values of a unit in the order of its tags. ``alarms``: the number of active ones."""
     link = unit_link_now(bus, unit, now)
     reading = unit.reading
     quality = QUALITY[link]
@@ -104,7 +104,7 @@ def alarm_lists(alarms: Sequence[StandingAlarm]) -> tuple[list[Any], ...]:
 def _parameter_points(
     unit: UnitLive, values: list[Value], quality: Quality, now: UnixTime
 ) -> Iterator[Point]:
-    """Yield the parameters. One that was not read since the unit was away may have changed at its keypad."""
+    """Yield the parameters. One not read since the unit came back may have changed at its keypad."""
     for parameter, value in zip(SHOWN_PARAMETERS, values, strict=True):
         known = unit.parameters.get(parameter.number)
         at = now if known is None else known.at

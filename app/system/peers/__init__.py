@@ -1,1 +1,1 @@
-"""The lines of this server and of its peers in short: a page of all, the wallboard and ``GET /sites``."""
+"""The lines of this server and its peers in short: a page of all, the wallboard, ``GET /sites``."""

@@ -1,7 +1,7 @@
 """The lines of this server and of its peers, each with its age, the worst first, and their tiles.
 
-A tile is a set of fields in the reader's language, as those of a unit; pages that follow the lines get the
-fields that changed. All of it is in memory, and read again after a start.
+A tile is a set of fields in the reader's language, like that of a unit; pages that follow the lines get the
+fields that changed. All of it is in memory, and is read again after a start.
 """
 
 from __future__ import annotations
@@ -24,18 +24,17 @@ from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_n
 from bus.messages import Message
 
 STALE_AFTER_S = 6.0
-"""Three reports of a peer."""
+"""The age above which a line is stale: three reports of a peer."""
 AWAY_AFTER_S = 60.0
-"""Older figures are not shown."""
+"""The age above which figures are not shown."""
 _RANKS = {level: number for number, level in enumerate((*PRIORITIES, ""))}
 
 
 @dataclass(eq=False, slots=True)
 class Peer:
-    """Another server. ``number``: tells it from others, its place in the configuration from 1 where it stands
-    there; ``url``: under which its pages are reached; ``lines``: by bus, as it reported them last, at
-    ``reported_at``, or at ``time`` by its own clock; ``instance``: see `LineBoard`; ``fault``: why it is not
-    read now."""
+    """Another server. ``number``: distinguishes it from others, its place in the configuration (from 1) if it
+    is there; ``url``: of its pages; ``lines``: its last report by bus, at ``reported_at``, or at ``time`` by
+    its own clock; ``instance``: see `LineBoard`; ``fault``: why it is not read now."""
 
     number: int
     name: str
@@ -47,13 +46,13 @@ class Peer:
     fault: Message | None = None
 
     def age_s(self, now: Monotonic) -> float | None:
-        """Return the seconds since its report; None where there was none."""
+        """Return the seconds since the peer's report; None if there was none."""
         return None if self.reported_at is None else now - self.reported_at
 
 
 @dataclass(frozen=True, slots=True)
 class LineOnBoard:
-    """A line as reported last. ``age_s``: seconds since the report; ``peer``: who reports it, None for this
+    """A line as last reported. ``age_s``: seconds since the report; ``peer``: its reporter, None for this
     server. ``summary`` None: the peer has reported no line, and ``bus`` is empty."""
 
     bus: str
@@ -63,35 +62,35 @@ class LineOnBoard:
 
     @property
     def key(self) -> str:
-        """The group of its fields: a name that no unit can have (a slug holds no underscore)."""
+        """The group of the line's fields: a name that no unit can have (slugs have no underscore)."""
         return f"line_of/{self.bus}" if self.peer is None else f"line_of/{self.peer.number}/{self.bus}"
 
     @property
     def site(self) -> str:
-        """Return where it is: the name of the peer as it is called here, or that of this site."""
+        """The site of the line: the name of the peer as it is called here, or of this site."""
         if self.peer is not None:
             return self.peer.name
         return "" if self.summary is None else self.summary.site
 
     @property
     def href(self) -> str:
-        """Return the address of its page; of a line of a peer, that on its server."""
+        """The address of the line's page; for a line of a peer, on the peer's server."""
         own = f"/?bus={self.bus}" if self.bus else "/"
         return own if self.peer is None else f"{self.peer.url}{own}"
 
     @property
     def is_stale(self) -> bool:
-        """Whether its present state is unknown."""
+        """Whether the present state of the line is unknown."""
         return self.age_s is None or self.age_s > STALE_AFTER_S
 
     @property
     def is_away(self) -> bool:
-        """Whether its figures are too old to be shown."""
+        """Whether the figures of the line are too old to be shown."""
         return self.age_s is None or self.age_s > AWAY_AFTER_S
 
     @property
     def rank(self) -> tuple[int, int, int, str, str]:
-        """The worst first: by priority, where one that is stale counts as high at least; then alarms."""
+        """The sort key, worst first: by priority (for a stale line at least high), then by alarms."""
         name = "" if self.peer is None else self.peer.name
         level, waiting, active = "", 0, 0
         if self.summary is not None:
@@ -103,8 +102,8 @@ class LineOnBoard:
 
 @dataclass(eq=False, repr=False)
 class LineBoard:
-    """``own``: makes the summaries of the lines of this server when they are wanted; ``instance``: names this
-    run of this server, so that one that finds its own in the report of a peer knows that it reads itself."""
+    """The board of lines. ``own``: makes the summaries of this server's lines when they are wanted;
+    ``instance``: names this run of this server, which thus detects that a peer is itself."""
 
     own: Callable[[], Iterable[LineSummary]]
     peers: list[Peer] = field(default_factory=list)
@@ -120,8 +119,8 @@ class LineBoard:
         return sorted(found, key=lambda line: line.rank)
 
     def put(self, peer: Peer, lines: Mapping[str, LineSummary], instance: str, time: str) -> Message | None:
-        """Take over the report of a peer. Return the fault of one that is this server or another peer, or of
-        a copy of the report before, which says nothing of the present."""
+        """Take over the report of a peer. Return the fault if the peer is this server or another peer, or if
+        the report is a copy of the one before, which says nothing of the present."""
         if instance == self.instance:
             return Message("peer_is_this_server")
         same = next((p for p in self.peers if p is not peer and p.instance == instance and not p.fault), None)
@@ -148,7 +147,7 @@ def _lines_of(peer: Peer, now: Monotonic) -> list[LineOnBoard]:
 
 WIDTH, HEIGHT = 240, 40
 MIN_REACH = 0.02
-"""The height of the drawing, as a part of the value, at least: noise is not to look like movement."""
+"""The least height of the drawing, as a part of the value: noise should not look like movement."""
 MINUTE_S, HOUR_S = 60, 3600
 LONG_S, LONG_MINUTES_S = 2 * MINUTE_S, 2 * HOUR_S
 STATES = {
@@ -157,25 +156,25 @@ STATES = {
     "at_zero": "line_n_at_zero",
     "off_speed": "line_n_off_speed",
 }
-"""The text for how many units are in a state."""
+"""The text for the number of units in a state."""
 _NO_REPORT: tuple[tuple[float, str, int], ...] = (
     (LONG_S, "line_overdue_seconds", 1),
     (LONG_MINUTES_S, "line_overdue_minutes", MINUTE_S),
     (inf, "line_overdue_hours", HOUR_S),
 )
-"""Up to which age, the text that nothing was reported for so long, and in what."""
+"""The greatest age, the text that nothing was reported for so long, and its unit in seconds."""
 _NEVER: Fields = {
     **dict.fromkeys(("place", "last", "counts", "alarm_mark", "alarms", "spark"), ""),
     **dict.fromkeys(("recipe", "event", "event_at"), ""),
     "speed": UNKNOWN,
     "scan": UNKNOWN,
 }
-"""Of a line whose figures are not known."""
+"""The fields of a line whose figures are not known."""
 
 
 def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fields:
-    """Return the fields of a line. ``quality``: whether it is of the present; ``last``: of one that is not,
-    what it was."""
+    """Return the fields of a line. ``quality``: whether its state is current; ``last``: its last state if it
+    is not."""
     summary, level = line.summary, shown_level(line)
     fields = _NEVER | {
         "level": level,
@@ -215,7 +214,7 @@ def _event(summary: LineSummary, translator: Translator, now: UnixTime) -> Field
 
 
 def shown_level(line: LineOnBoard) -> Level:
-    """Return the priority of a line; of one whose present state is not known high at least."""
+    """Return the priority of a line; at least high if its present state is not known."""
     level = "" if line.summary is None else line.summary.level
     return "high" if line.is_stale and level not in ("urgent", "high") else level
 
@@ -227,7 +226,7 @@ def verdict_text(summary: LineSummary, translator: Translator, now: UnixTime) ->
 
 
 def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTime) -> tuple[str, str]:
-    """Return place and verdict of a line; the place is empty where the verdict is about the line itself."""
+    """Return place and verdict of a line; the place is empty if the verdict is about the line."""
     if summary.cause is None:
         return "", translator.t(summary.verdict)
     place = "" if summary.place == summary.bus else summary.place
@@ -249,8 +248,8 @@ def no_report(line: LineOnBoard) -> Message:
 
 
 def outline(speeds: list[float | None]) -> str:
-    """Return an SVG path of speeds over ten minutes, the newest at the right; an unknown value lifts the
-    pen."""
+    """Return an SVG path of speeds over ten minutes, the newest at the right; an unknown value leaves a
+    gap."""
     known = [speed for speed in speeds if speed is not None]
     if not known:
         return ""
@@ -283,7 +282,7 @@ def _mark(summary: LineSummary) -> str:
 
 
 def _alarms(summary: LineSummary, translator: Translator) -> str:
-    """Return how many alarms are active, and how many wait for an acknowledgement."""
+    """Return the number of active alarms, and of those that wait for an acknowledgement."""
     counts = alarm_counts(sum(summary.active.values()), sum(summary.waiting.values()))
     return " · ".join(translator.t(count) for count in counts if count is not None)
 
@@ -302,7 +301,7 @@ class LineTiles:
         self._shown: dict[str, Groups] = {}
 
     def shown(self, translator: Translator) -> Groups:
-        """Return the fields of all lines now, the worst first."""
+        """Return the present fields of all lines, the worst first."""
         return self.fields_of(self.board.lines(), translator)
 
     def fields_of(self, lines: list[LineOnBoard], translator: Translator) -> Groups:
@@ -314,8 +313,8 @@ class LineTiles:
         }
 
     def changes(self, translator: Translator) -> Groups:
-        """Return the fields that are different from those of the last call for this language. A line that is
-        no longer there has the quality ``gone``."""
+        """Return the fields that differ from those of the last call for this language. A line that has
+        disappeared has the quality ``gone``."""
         shown = self._shown.setdefault(translator.language.tag, {})
         changed, fields = Groups(), self.shown(translator)
         for key in shown.keys() - fields.keys():
@@ -326,7 +325,7 @@ class LineTiles:
         return changed
 
     def forget(self, tag: str) -> None:
-        """Forget what pages of a language have, as no page follows the lines in it."""
+        """Forget the fields sent in a language, as no page follows the lines in it."""
         self._shown.pop(tag, None)
 
 

@@ -1,7 +1,7 @@
-"""The report of lines that ``GET /sites`` gives, and the client that reads it from each peer.
+"""The report of lines of ``GET /sites``, and the client that reads it from each peer.
 
-One schema is for both directions, so that a peer is trusted with nothing that this server would not send.
-The client has one connection to each peer, bounded in bytes and time.
+One schema is for both directions, so that a peer is trusted only with what this server would send. The client
+has one connection to each peer, bounded in bytes and time.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 
 MAX_LINES = 255
-"""That are read of a peer."""
+"""The most lines that are read of a peer."""
 MAX_AT = 1e11
-"""The year 5138: what is later has no time of a zone."""
+"""The year 5138: later times have no date in any time zone."""
 
 
 Name = Annotated[OneLine, Field(max_length=100)]
@@ -57,7 +57,7 @@ BusSlug = Annotated[str, Field(pattern="^[a-z0-9-]*$", max_length=40)]
 
 
 class LineAlarmsShown(TypedDict):
-    """The alarms of a line in numbers, and the first of them."""
+    """The numbers of alarms of a line, and its first alarm."""
 
     active: AlarmCount
     unacknowledged: AlarmCount
@@ -66,7 +66,7 @@ class LineAlarmsShown(TypedDict):
 
 
 class LineCauseShown(TypedDict):
-    """Why a line is not as it should be, as the parts of its verdict."""
+    """The cause of a line's abnormal state, as the parts of its verdict."""
 
     code: Annotated[str, Field(max_length=60)]
     since: Annotated[MaybeInstant, Field(description="null: not known.")]
@@ -84,8 +84,8 @@ class LineEventShown(TypedDict):
 
 
 class LineOfSite(TypedDict):
-    """One line. All but ``bus``, ``peer``, ``url``, ``stale``, ``age_s`` and ``verdict`` is as it was last
-    reported, null where it never was."""
+    """One line. All fields except ``bus``, ``peer``, ``url``, ``stale``, ``age_s`` and ``verdict`` are as
+    last reported, null if never reported."""
 
     bus: Annotated[BusSlug, Field(description="Empty for a peer that has not reported any.")]
     peer: Annotated[str | None, Field(description="Who reports it; null: this server.")]
@@ -128,7 +128,7 @@ class PeerOfSite(TypedDict):
 
 
 class LinesOfSites(TypedDict):
-    """Every line, the worst first."""
+    """All lines, the worst first."""
 
     time: Instant
     version: Annotated[str, Field(max_length=60, description="Of this Lineside.")]
@@ -142,7 +142,7 @@ class _Version(msgspec.Struct):
 
 
 class ReportError(ValueError):
-    """A report is not of this schema. ``version``: of the Lineside that wrote it; empty: it states none."""
+    """Raised for a report of another schema. ``version``: of the reporting Lineside; empty if unstated."""
 
     def __init__(self, version: str) -> None:
         super().__init__("not of this schema")
@@ -233,7 +233,7 @@ def _schema() -> TypeAdapter[LinesOfSites]:
 
 
 def read_report(content: bytes) -> tuple[dict[str, LineSummary], str, str]:
-    """Return the lines of a report by bus, the instance that wrote it, and when by its clock. Raises
+    """Return the lines of a report by bus, the instance that wrote it, and its time by that clock. Raise
     ReportError."""
     try:
         report = _schema().validate_json(content, strict=True)
@@ -251,7 +251,7 @@ def _version_in(content: bytes) -> str:
 
 
 def _summary(line: LineOfSite) -> LineSummary:
-    """Return a line of a peer. Raises ValueError, OverflowError and MsgspecError for one that cannot be
+    """Return a line of a peer. Raise ValueError, OverflowError or MsgspecError for a line that cannot be
     shown."""
     alarms, cause, event = line["alarms"], line["cause"], line["event"]
     if not line["bus"] or alarms is None or line["site"] is None:
@@ -279,7 +279,7 @@ def _summary(line: LineOfSite) -> LineSummary:
 
 
 def _has_words(cause: LineCauseShown) -> bool:
-    """Return whether this version can put the cause of another into words."""
+    """Return whether this version has words for the cause of another version."""
     is_motion = cause["motion"] in STATE_WORDS or cause["motion"] == TURNING
     return is_motion and cause["code"] != "ramping" and tile_text(cause["code"]) is not None
 
@@ -291,7 +291,7 @@ def _cause(cause: LineCauseShown) -> CauseSummary:
 
 
 def _message(given: MessageShown) -> Message:
-    """Return a message of another server; where this version lacks its text, the English one that came with
+    """Return a message of another server; if this version lacks its text, the English text that came with
     it."""
     if given["code"] in TEXTS:
         return msgspec.convert(given, Message)
@@ -312,24 +312,23 @@ def _unix(given: str) -> float:
 PATH = "/api/v1/sites"
 EVERY_S = 2.0
 REFUSED_EVERY_S = 10.0
-"""Where a person has to change something first."""
+"""The seconds between readings after a refusal, which a person has to remedy."""
 WITHIN_S = 5.0
 MAX_BYTES = 1024 * 1024
-"""255 lines are half of it."""
+"""The most bytes of a report; 255 lines are half of it."""
 _log = structlog.get_logger()
 
 
 class PeerError(LinesideError):
-    """Why a peer is not read, without what it wrote."""
+    """Raised if a peer cannot be read; the reason does not contain the peer's text."""
 
 
 class PeerAwayError(PeerError):
-    """There is no connection to it now."""
+    """Raised if there is no connection to a peer now."""
 
 
 async def follow(peer: Peer, settings: PeerSettings, board: LineBoard) -> None:
-    """Run until canceled: read a peer. The files of its token and its authority are read again after a
-    refusal."""
+    """Read a peer until canceled. The files of its token and its authority are read again after a refusal."""
     while True:
         try:
             async with _client(settings) as client:
@@ -342,7 +341,7 @@ async def follow(peer: Peer, settings: PeerSettings, board: LineBoard) -> None:
 
 
 async def _read_onto(board: LineBoard, peer: Peer, settings: PeerSettings, client: httpx.AsyncClient) -> None:
-    """Read one report. A peer that is away is noted. Raises PeerError for one that refuses."""
+    """Read one report. A peer that is away is noted. Raise PeerError for a peer that refuses."""
     try:
         report = await _read(client, settings)
     except PeerAwayError as error:
@@ -373,7 +372,7 @@ async def fault_of(settings: PeerSettings) -> Message | None:
 
 @asynccontextmanager
 async def _client(settings: PeerSettings) -> AsyncIterator[httpx.AsyncClient]:
-    """Return a client with the token of the peer. Raises PeerError."""
+    """Return a client with the token of the peer. Raise PeerError."""
     import httpx  # a tenth of a second of the start
 
     ca_file = None if settings.ca_file is None else str(settings.ca_file)
@@ -388,7 +387,7 @@ async def _client(settings: PeerSettings) -> AsyncIterator[httpx.AsyncClient]:
         ) from None
     headers = {"Authorization": f"Bearer {token}", "Accept-Encoding": "identity", "User-Agent": "lineside"}
     limits = httpx.Limits(max_connections=1)
-    # No proxy and no password of the environment: they lead out of the plant.
+    # No proxy and no password from the environment: they lead out of the plant.
     async with httpx.AsyncClient(
         verify=context, trust_env=False, timeout=WITHIN_S, limits=limits, headers=headers
     ) as client:
@@ -398,7 +397,7 @@ async def _client(settings: PeerSettings) -> AsyncIterator[httpx.AsyncClient]:
 async def _read(
     client: httpx.AsyncClient, settings: PeerSettings
 ) -> tuple[Mapping[str, LineSummary], str, str]:
-    """Return the lines of a peer, its instance and its time. Raises PeerError."""
+    """Return the lines of a peer, its instance and its time. Raise PeerError."""
     import httpx
 
     request = client.build_request("GET", f"{settings.url}{PATH}", params={"own": "true"})
@@ -421,7 +420,7 @@ async def _read(
 
 
 async def _exchange(client: httpx.AsyncClient, request: httpx.Request, settings: PeerSettings) -> bytes:
-    """Return the body, as it came: what is packed could be of any size once it is unpacked."""
+    """Return the body as it came: compressed content could unpack to any size."""
     response = await client.send(request, stream=True, follow_redirects=False)
     try:
         if response.status_code != 200:

@@ -1,5 +1,5 @@
-"""The lines of this server and its peers: ``GET /sites``, the page of all lines, and the wallboard, which
-shows one at a time across a hall."""
+"""The feature of lines of this server and its peers: ``GET /sites``, the page of all lines, and the
+wallboard, which shows one line at a time across a hall."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ LastEventsService = Annotated[LastEvents, service(LastEvents)]
 Own = Annotated[bool, Query(description="Only the lines of this server, without those of its peers.")]
 Size = Literal["large", "medium", "small", "tiny"]
 MAX_OF: dict[Size, int] = {"large": 12, "medium": 24, "small": 54, "tiny": 255}
-"""Up to how many sections of a line each is shown with its speed; with its name only; as a roll, in up to
-three rows; in more."""
+"""The most sections of a line for which each is shown with its speed, with only its name, as one of up to
+three rows, and as one of more rows."""
 
 
 @api.get("/sites")
@@ -51,8 +51,8 @@ async def get_sites(
     own: Own = False,
     site: str | None = None,
 ) -> LinesOfSites:
-    """List every line of this server and its peers, the worst first. ``site``: only those of the site of this
-    name."""
+    """List every line of this server and its peers, the worst first. ``site``: only lines of the site with
+    this name."""
     await events.read()
     english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
     report = board_json(tiles.board, english, unix_now(), own=own)
@@ -65,7 +65,7 @@ async def get_sites(
 async def lines_page(
     request: Request, _: Viewer, tiles: LineTilesService, events: LastEventsService, site: str = ""
 ) -> Response:
-    """Show every line, the worst first; ``site``: only of this one, where there is one of its name."""
+    """Show every line, the worst first; ``site``: only lines of that site, if there is such a site."""
     await events.read()
     lines = tiles.board.lines()
     sites = sorted({line.site for line in lines})
@@ -82,8 +82,8 @@ async def lines_page(
 
 @dataclass(frozen=True, slots=True)
 class LineOnWall:
-    """What of a line does not change while the page is open. ``peer``: who reports it, empty for this server;
-    ``units``: the sections of an own line in floor order."""
+    """The parts of a line that do not change while the page is open. ``peer``: its reporter, empty for this
+    server; ``units``: the sections of an own line in floor order."""
 
     bus: str
     peer: str
@@ -97,13 +97,13 @@ class LineOnWall:
 
     @property
     def href(self) -> str:
-        """Return the address of the wallboard of this line alone."""
+        """The address of the wallboard of this line alone."""
         query = {"bus": self.bus} | ({"peer": self.peer} if self.peer else {})
         return f"/wallboard?{urlencode(query)}"
 
     @property
     def size(self) -> Size:
-        """Return how much of each section has room."""
+        """The size in which each section of the line has room."""
         return next(size for size, most in MAX_OF.items() if len(self.units) <= most)
 
 
@@ -116,7 +116,7 @@ async def wallboard_page(
     bus: str = "",
     peer: str = "",
 ) -> Response:
-    """Show every line in turn, or only that of ``bus``, of this server or of ``peer``. Raises Problem 404."""
+    """Show every line in turn, or only that of ``bus`` (and ``peer``, if given). Raise Problem 404."""
     await events.read()
     hub = service_of(request, Hub)
     reported = tiles.board.lines()

@@ -1,4 +1,4 @@
-"""The other servers whose lines are shown beside the own (``[[peer]]`` of lineside.toml)."""
+"""The settings of other servers whose lines are shown here (``[[peer]]`` of lineside.toml)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bus.validation import OneLine
 
 
 def _server_address(written: str) -> str:
-    """Return the URL without a final slash. Raises ValueError where it is of a page, not of a server."""
+    """Return the URL without a final slash. Raise ValueError for the URL of a page."""
     parts = urlsplit(written)
     if parts.path not in ("", "/") or parts.query or parts.fragment:
         raise url_refusal(Message("setting_peer_url"))
@@ -25,8 +25,8 @@ def _server_address(written: str) -> str:
 
 
 class PeerSettings(StrictModel):
-    """Another server. ``token_file``: has a token of it with the role viewer; ``ca_file``: whom to trust
-    instead of the authorities of the machine."""
+    """Another server. ``token_file``: contains a token of that server with the role viewer; ``ca_file``: the
+    authorities to trust instead of those of the machine."""
 
     name: Annotated[OneLine, Field(min_length=1, max_length=80)]
     url: Annotated[WebUrl, AfterValidator(_server_address)]
@@ -35,13 +35,13 @@ class PeerSettings(StrictModel):
 
     @property
     def is_in_clear(self) -> bool:
-        """Whether its token passes other machines without TLS."""
+        """Whether the token passes other machines without TLS."""
         parts = urlsplit(self.url)
         return parts.scheme == "http" and not is_loopback(parts.hostname or "")
 
 
 def refuse_repeated(peers: Iterable[PeerSettings]) -> None:
-    """Raises PydanticCustomError for two peers of one name or one address."""
+    """Raise PydanticCustomError for two peers with the same name or address."""
     known: dict[str, str] = {}
     for index, peer in enumerate(peers):
         for key, value in (("name", peer.name), ("url", peer.url.lower())):

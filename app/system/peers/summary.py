@@ -1,4 +1,4 @@
-"""The state, alarms and speed of a line in short, without its readings, and those of this server's lines."""
+"""Summaries of lines: state, alarms and speed without the readings; and those of this server's lines."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ from bus.messages import Message, ParamValue, term
 
 MAX_POINTS = 60
 POINT_S = 10.0
-"""From one point of the speed to the next: ten minutes in all."""
+"""The seconds between two points of the speed: ten minutes in all."""
 Counts = dict[AlarmPriority, int]
 
 
 class CauseSummary(msgspec.Struct, frozen=True):
-    """A cause that is put into words for each reader; see :class:`app.line.live.diagnosis.Cause`."""
+    """A cause in a form that is put into words for each reader (:class:`app.line.live.diagnosis.Cause`)."""
 
     code: str
     since: float | None = None
@@ -79,11 +79,11 @@ class EventSummary(msgspec.Struct, frozen=True):
 
 
 class LineSummary(msgspec.Struct, frozen=True):
-    """One line. ``verdict``: the text while there is no ``cause``; ``place``: the unit or bus of the
-    cause. ``states``: units by state, and how many are ``online``; ``active`` and ``waiting`` (for an
-    acknowledgement): alarms by priority; ``alarm``: the text of the first of them. ``speeds``: of the first
-    unit, the newest last, in ``measure``, None where none was read; ``scan_hz``: scans a second;
-    ``recipe``: the one loaded last."""
+    """The summary of one line. ``verdict``: the text if there is no ``cause``; ``place``: the unit or bus of
+    the cause. ``states``: units by state, and the number that is ``online``; ``active`` and ``waiting`` (for
+    an acknowledgement): alarms by priority; ``alarm``: the text of the first alarm. ``speeds``: of the first
+    unit, the newest last, in ``measure``, None if not read; ``scan_hz``: scans a second; ``recipe``: the one
+    last loaded."""
 
     bus: str
     site: str
@@ -112,8 +112,8 @@ class SpeedTrace:
     _next_at: UnixTime = UnixTime(0.0)
 
     def note(self, bus: BusLive, now: UnixTime) -> None:
-        """Take a point when one is due; until the next it is that of the present. After a pause, what lies
-        between is unknown."""
+        """Take a point when one is due; until the next, it is the present speed. After a pause, the points in
+        between are unknown."""
         speed = _line_speed(bus, now)
         if now < self._next_at:
             self.points[-1] = speed
@@ -140,8 +140,8 @@ def summary_of(
     site: str,
     now: UnixTime,
 ) -> LineSummary:
-    """Return a line in short. ``views``: how each unit looks; ``alarms``: those of the line that a person is
-    to know of, each with its text; ``site``: its name."""
+    """Return the summary of a line. ``views``: of each unit; ``alarms``: those of the line for people, each
+    with its text; ``site``: its name."""
     place, cause = _worst(bus, views, now)
     counts = state_counts(views)
     known = sorted(alarms, key=lambda entry: rank(entry[0]))
@@ -167,15 +167,15 @@ def summary_of(
 
 
 def view_of(bus: BusLive, number: int, blocked: Message | None, drifted: str, now: UnixTime) -> UnitView:
-    """Return how a unit looks on a tile of its line."""
+    """Return the view of a unit for a tile of its line."""
     unit = bus.units[number]
     cause = shown_cause(bus, unit, unit_cause(bus, unit, now), now, blocked=blocked, drifted=drifted)
     return UnitView(unit, unit_link_now(bus, unit, now), cause)
 
 
 def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, Cause | None]:
-    """Return what the verdict names: a cause of the bus, else that of the first unit of the highest
-    priority. A condition of low priority is no verdict on a line."""
+    """Return the cause for the verdict: of the bus, else of the first unit of the highest priority. A
+    condition of low priority is not a verdict on a line."""
     of_bus = bus_cause(bus, now) or all_offline(bus, now)
     if of_bus is not None:
         return bus.settings.name, of_bus
@@ -193,23 +193,23 @@ def _by_priority(alarms: Iterable[Alarm]) -> Counts:
 
 READ_EVERY_S = 1.0
 READ = (1, 10)
-"""Events of a line that are read, more only where none of a shown kind is among the first: after each command
-its own is the last."""
+"""The events of a line that are read; more only if the first have no shown kind: after each command, its own
+event is the last."""
 SHOWN: frozenset[EventKind] = frozenset(
     ("block", "bus", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit", "worker")
 )
-"""The kinds that explain what a line does; control, sign-ins and notes do not."""
+"""The kinds that explain the activity of a line; control, sign-ins and notes do not."""
 LATE = "event_readings_late"
-"""At each start of the server: its worker begins before it."""
+"""Such an event comes at each start of the server: its worker begins earlier."""
 DONE = ("verified", "acknowledged")
 FRESH_S = 0.9
-"""A summary of this age serves another reader."""
+"""The age up to which a summary serves another reader."""
 TRACE_S = 1.0
 
 
 @dataclass(eq=False, repr=False)
 class LastEvents:
-    """The last event of each line: reads the event log where a line has a new event and somebody sees it."""
+    """The last event of each line, read from the event log if a line has a new one and is shown."""
 
     live: LiveState
     events: EventLog
@@ -222,7 +222,7 @@ class LastEvents:
         self.events.subscribe(self._note)
 
     def newest_of(self, bus: str) -> EventSummary | None:
-        """Return the last event of a line as of the last read, None where there is none yet."""
+        """Return the last event of a line, None if there is none yet."""
         self._wanted.set()
         return self._last.get(bus)
 
@@ -231,8 +231,7 @@ class LastEvents:
             self._changed.add(event.bus)
 
     async def follow(self) -> None:
-        """Run until canceled: read what was logged, while somebody follows it. While the log cannot be read,
-        the known ones stay."""
+        """Read new events until canceled. While the log cannot be read, the known events stay."""
         while True:
             await self._wanted.wait()
             self._wanted.clear()
@@ -240,7 +239,7 @@ class LastEvents:
             await asyncio.sleep(READ_EVERY_S)
 
     async def read(self) -> None:
-        """Read the last event of each line that has a new one. A change of several units is one."""
+        """Read the last event of each line that has a new one. A change of several units is one event."""
         for bus in sorted(self._changed):
             with suppress(StoreError):
                 last = await self._last_shown(bus)
@@ -257,8 +256,8 @@ class LastEvents:
         return None
 
     def _text(self, event: Event) -> Message:
-        """Return the text of an event, such as ``Dryer 2 · speed set: 120.0 → 121.0``, with the result where
-        the command was not carried out."""
+        """Return the text of an event, such as ``Dryer 2 · speed set: 120.0 → 121.0``, with the result if the
+        command was not carried out."""
         unit = self.live.buses[event["bus"]].units.get(event["unit"] or 0)
         old, new = _field(event, "old"), _field(event, "new")
         if old and new:
@@ -284,7 +283,7 @@ def _field(event: Event, name: str) -> ParamValue:
 
 @dataclass(eq=False, repr=False)
 class OwnLines:
-    """``site``: its name. ``english``: for what only has to be known to differ."""
+    """The summaries of this server's lines. ``site``: its name; ``english``: for texts only compared."""
 
     site: str
     live: LiveState
@@ -307,13 +306,13 @@ class OwnLines:
         return self._made
 
     async def trace(self) -> None:
-        """Run until canceled: take the points of the speeds."""
+        """Take the points of the speeds until canceled."""
         while True:
             self.note_speeds()
             await asyncio.sleep(TRACE_S)
 
     def note_speeds(self) -> None:
-        """Take a point of each line where one is due."""
+        """Take a point for each line if one is due."""
         now = self.clock()
         for name, bus in self.live.buses.items():
             self._traces.setdefault(name, SpeedTrace()).note(bus, now)

@@ -1,1 +1,1 @@
-"""The plant's database: what is stored is copied there as plain rows, and nothing is read from it."""
+"""The plant's database: stored data is copied there as plain rows; nothing is read from it."""

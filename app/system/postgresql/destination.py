@@ -1,5 +1,5 @@
-"""The connection to the plant's database: it makes the tables, sends batches of rows, and says in words why
-it cannot.
+"""The connection to the plant's database: it makes the tables, sends batches of rows, and reports failures in
+words.
 
 The events there are a second witness of the audit log: :func:`compare` compares the two.
 """
@@ -48,12 +48,12 @@ OPTIONS = " ".join(
         "statement_timeout": f"{STATEMENT_S}s",
         "timezone": "UTC",
         "client_min_messages": "error",
-        # The cursor goes past what is committed: that must outlive a crash of the database.
+        # The cursor moves past committed rows: these must outlive a crash of the database.
         "synchronous_commit": "on",
     }.items()
 )
 BEGINNING = instant(0)
-"""The ``valid_from`` of the first names of a unit, since its past may be filled in later."""
+"""The ``valid_from`` of the first names of a unit, as its past may be filled in later."""
 MARK = "lineside_version"
 """The table that marks a schema as one of Lineside's."""
 VERSION = 1
@@ -75,17 +75,17 @@ _TYPES = {
     **dict.fromkeys(("known_s", "run_s", "at_speed_s", "length"), "double precision"),
     **dict.fromkeys(BIT_COLUMNS, "boolean"),
 }
-"""The type of each column that is no text."""
+"""The type of each column that is not text."""
 _MONTH = re.compile(r"_y(\d{4})m(\d{2})$")
 _NAMES = ("site", UNIT.name, *(table.name for table in MONTHLY), "unit_now")
 
 
 class PublishError(StoreError):
-    """The plant's database cannot be reached, or does not take rows; the message says why."""
+    """Raised if the plant's database cannot be reached or takes no rows; the message has the reason."""
 
 
 class SchemaError(StoreError):
-    """The plant's database cannot take what is published; the message says what to do."""
+    """Raised if the plant's database cannot take the published rows; the message has the remedy."""
 
 
 def require_package() -> None:
@@ -97,8 +97,8 @@ def require_package() -> None:
 
 
 class Destination:
-    """One connection, which :meth:`connect` opens again after a failure. Only one thread at a time may use
-    it, except for :meth:`abandon`."""
+    """A connection, which :meth:`connect` opens again after a failure. Only one thread at a time may use it,
+    except for :meth:`abandon`."""
 
     def __init__(
         self, settings: PostgresqlSettings, site: str, identity: str, buses: Sequence[BusSettings]
@@ -108,11 +108,11 @@ class Destination:
         self._months: set[tuple[Table, tuple[int, int]]] = set()
         self._partitioned: set[str] = set()
         self.clock_ahead_s = 0.0
-        """How far the clock of the database was ahead of that of this machine when it was connected."""
+        """The seconds by which the database's clock was ahead of this machine's at connecting."""
 
     def connect(self) -> None:
-        """Connect unless it is connected, and bring the tables and the names of units up to date. Raises
-        PublishError, SchemaError."""
+        """Connect unless connected, and bring the tables and the names of units up to date. Raise
+        PublishError or SchemaError."""
         if self._connection is not None:
             return
         require_package()
@@ -130,8 +130,8 @@ class Destination:
             self._send_units(connection)
 
     def examine(self) -> float:
-        """Do what `connect` does and undo it; return by how much the clock of the database is ahead. Raises
-        PublishError, SchemaError."""
+        """Do the same as `connect` and undo it; return the seconds by which the database's clock is ahead.
+        Raise PublishError or SchemaError."""
         import psycopg
 
         require_package()
@@ -144,8 +144,8 @@ class Destination:
             return _clock_difference(connection, float(unix_now()))
 
     def send(self, batch: Batch, published_at: UnixTime) -> None:
-        """Send rows in one transaction; equal rows that are there already are not written again. Raises
-        PublishError, SchemaError."""
+        """Send rows in one transaction; equal rows that exist already are not written again. Raise
+        PublishError or SchemaError."""
         with self._connected() as connection, connection.transaction():
             for table, rows in batch.rows.items():
                 if rows:
@@ -154,8 +154,8 @@ class Destination:
             connection.execute(f"{query} WHERE name = %s".encode(), (float(published_at), self._site))
 
     def keep_up(self, now: UnixTime) -> None:
-        """Make the partitions of the next month, and remove what is older than ``keep_months``, by the
-        earlier of both clocks: one that is ahead removes nothing. Raises PublishError."""
+        """Create the partitions of the next month, and remove rows older than ``keep_months``, by the earlier
+        of both clocks: a clock that is ahead removes nothing. Raise PublishError."""
         schema, keep_months = self._settings.quoted_schema, self._settings.keep_months
         with self._connected() as connection:
             today = datetime.fromtimestamp(float(now), UTC)
@@ -169,8 +169,8 @@ class Destination:
             self._months.clear()
 
     def hashes(self, after: int, limit: int) -> list[tuple[int, list[str]]]:
-        """Return events of the site behind a number, in order: the number of each, and every hash with which
-        it was ever published. Raises PublishError, SchemaError."""
+        """Return events of the site after a number, in order: the number of each, and every hash with which
+        it was ever published. Raise PublishError or SchemaError."""
         with self._connected() as connection:
             query = (
                 f"SELECT id, array_agg(hash) FROM {self._settings.quoted_schema}.event"
@@ -179,8 +179,8 @@ class Destination:
             return connection.execute(query.encode(), (self._site, after, limit)).fetchall()
 
     def extents(self, after: UnixTime) -> list[tuple[int, datetime | None, datetime | None]]:
-        """Return how many events and how many readings the site published of a time and later, each with the
-        first and the last instant, None without any. Raises PublishError, SchemaError."""
+        """Return the number of events and of readings that the site published from a time on, each with the
+        first and the last instant (None without any). Raise PublishError or SchemaError."""
         with self._connected() as connection:
             found = []
             for table in (EVENT, READING):
@@ -237,7 +237,7 @@ class Destination:
             cursor.execute(f"TRUNCATE incoming_{table.name}".encode())
 
     def _send_units(self, connection: psycopg.Connection[Any]) -> None:
-        """Send a new row of each unit whose names have changed since its newest one."""
+        """Send a new row for each unit whose names have changed since its newest row."""
         names = ", ".join(UNIT.columns)
         query = f"SELECT {names} FROM {self._settings.quoted_schema}.unit_now WHERE site = %s"
         newest = {row[1:3]: row for row in connection.execute(query.encode(), (self._site,))}
@@ -261,7 +261,7 @@ class Destination:
 
     @contextmanager
     def _in_words(self) -> Iterator[None]:
-        """Turn what psycopg raises into words, and end the connection: the next attempt begins a new one."""
+        """Turn errors of psycopg into words, and end the connection: the next attempt opens another."""
         import psycopg
 
         try:
@@ -308,7 +308,7 @@ def _table(schema: str, table: Table) -> str:
 
 
 def _statements(schema: str) -> Iterator[str]:
-    """Yield the statements that make the tables."""
+    """Yield the statements that create the tables."""
     yield f"CREATE TABLE {schema}.{MARK} (version integer NOT NULL)"
     yield f"INSERT INTO {schema}.{MARK} VALUES ({VERSION})"
     yield f"CREATE TABLE {schema}.site (name text PRIMARY KEY, id text NOT NULL, published_at timestamptz)"
@@ -321,9 +321,9 @@ def _statements(schema: str) -> Iterator[str]:
 
 
 def _prepare(connection: psycopg.Connection[Any], schema: str, site: str, identity: str) -> None:
-    """Make the schema and its tables unless they are there, within the present transaction; ``schema`` is
-    quoted. Raises SchemaError for tables of another program or of a newer version, and for a site of this
-    name that another server publishes."""
+    """Create the schema and its tables unless they exist, in the present transaction; ``schema`` is quoted.
+    Raise SchemaError for tables of another program or of a newer version, and for a site of this name that
+    another server publishes."""
     name = schema.strip('"')
     # Two sites may come to an empty database at the same time.
     connection.execute("SELECT pg_advisory_xact_lock(hashtext(%s))", (f"lineside {schema}",))
@@ -346,7 +346,7 @@ def _prepare(connection: psycopg.Connection[Any], schema: str, site: str, identi
 
 
 def _claim(connection: psycopg.Connection[Any], schema: str, site: str, identity: str) -> None:
-    """Enter the site in the database. Raises SchemaError where another one has its name."""
+    """Enter the site in the database. Raise SchemaError if another site has its name."""
     _run(
         connection,
         f"INSERT INTO {schema}.site (name, id) VALUES (%s, %s) ON CONFLICT DO NOTHING",
@@ -360,7 +360,7 @@ def _claim(connection: psycopg.Connection[Any], schema: str, site: str, identity
 
 
 def _clock_difference(connection: psycopg.Connection[Any], now: float) -> float:
-    """Return how many seconds the clock of the database is ahead of ``now``, Unix time."""
+    """Return the seconds by which the database's clock is ahead of ``now``, Unix time."""
     found = _one(connection, "SELECT extract(epoch FROM clock_timestamp())::float8")
     assert found is not None
     return float(found[0]) - now
@@ -376,7 +376,7 @@ def _month_of(at: datetime) -> tuple[int, int]:
 
 
 def _partitioned(connection: psycopg.Connection[Any], schema: str) -> set[str]:
-    """Return the names of the tables that have partitions; a plant may have replaced one by its own."""
+    """Return the names of the partitioned tables; a plant may have replaced one by its own table."""
     query = "SELECT relname::text FROM pg_class WHERE relnamespace = %s::regnamespace AND relkind = 'p'"
     return {name for [name] in connection.execute(query, (schema,))}
 
@@ -384,7 +384,7 @@ def _partitioned(connection: psycopg.Connection[Any], schema: str) -> set[str]:
 def _add_month(
     connection: psycopg.Connection[Any], schema: str, table: Table, month: tuple[int, int]
 ) -> None:
-    """Make the partition of a month unless it is there."""
+    """Create the partition of a month unless it exists."""
     name = f"{schema}.{table.name}_y{month[0]:04d}m{month[1]:02d}"
     if (found := _one(connection, "SELECT to_regclass(%s)", name)) and found[0]:
         return
@@ -410,7 +410,7 @@ def _remove_old(
     connection: psycopg.Connection[Any], schema: str, site: str, now: datetime, keep_months: int
 ) -> None:
     """Remove the rows of a site that are older than ``keep_months`` complete months before the current one.
-    The partition of a month is dropped where no other site has rows in it."""
+    The partition of a month is dropped if no other site has rows in it."""
     first = _month_after(_month_of(now), -keep_months)
     for table in MONTHLY:
         query = "SELECT inhrelid::regclass::text FROM pg_inherits WHERE inhparent = %s::regclass"
@@ -441,9 +441,9 @@ CHUNK = 5000
 
 @dataclass
 class Comparison:
-    """The result of a comparison. ``same``: events that both have with one hash; ``replaced``: those of them
-    that the database has with a further hash, too; ``unpublished``: events that only the log has, from the
-    first on that the database has."""
+    """The result of a comparison. ``same``: events with the same hash in both; ``replaced``: those of them
+    for which the database also has another hash; ``unpublished``: events that only the log has, from the
+    first event in the database on."""
 
     same: int = 0
     replaced: int = 0
@@ -451,8 +451,8 @@ class Comparison:
 
 
 def compare(connection: StoreConnection, destination: Destination) -> Comparison:
-    """Compare every event that the database has with the log. Raises StoreError with the first event that the
-    log lacks or has with another content."""
+    """Compare every event in the database with the log. Raise StoreError with the first event that the log
+    lacks or has with another content."""
     found, after, first = Comparison(), 0, 0
     archived = max((cut.last for cut in cuts_of(connection)), default=0)
     while published := destination.hashes(after, CHUNK):

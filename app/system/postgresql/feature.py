@@ -1,4 +1,4 @@
-"""The plant's database, where one is configured: its publisher, and the alarms of one that is behind."""
+"""The feature of the plant's database, if configured: its publisher, and alarms for a late one."""
 
 from __future__ import annotations
 

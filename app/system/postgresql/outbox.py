@@ -1,9 +1,9 @@
-"""The rows that the stores have for the plant's database: those behind the publisher's cursor, and those of a
-past that is filled in.
+"""The rows of the stores for the plant's database: those after the publisher's cursor, and those of a past
+that is filled in.
 
-The stores are the outbox: blocks of readings and entries of the logs have numbers that only rise, and the
-cursor holds up to which they are in the plant's database. What is sent twice is one row there. A past is read
-from the stores as they are, whether or not the server runs.
+The stores are the outbox: blocks of readings and entries of the logs have rising numbers, and the cursor is
+the last that is in the plant's database. Rows that are sent twice are one row there. A past is read from the
+stores as they are, whether or not the server runs.
 """
 
 from __future__ import annotations
@@ -55,21 +55,21 @@ from bus.instants import unix_now
 from bus.settings import BusSettings, UnitSettings
 
 MAX_ENTRIES = 2000
-"""Events, and transitions of alarms, of one batch."""
+"""The most events, and transitions of alarms, in one batch."""
 MAX_SPAN = HOUR
 """The span of readings in one batch, summed over the units, µs: 10,000 to 20,000 readings."""
 MAX_BLOCKS = MAX_SPAN // MINUTE
 SETTLED = SECOND
-"""How long the readings of a moment are awaited before it is published, µs. A later one is published with its
+"""The time after which the readings of a moment are published, µs. A later reading is published with its
 minute."""
 _EVER = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
 class Cursor:
-    """What is published. ``blocks``: the id of the last block of readings; ``events``, ``alarms``: of the
-    last entry of the log and of the journal; ``until``: a time, µs, up to which everything that was stored
-    then is published."""
+    """The position up to which data is published. ``blocks``: the id of the last block of readings;
+    ``events``, ``alarms``: of the last entry of the log and of the journal; ``until``: everything stored up
+    to this time, µs, is published."""
 
     blocks: int
     events: int
@@ -118,7 +118,7 @@ def first_block_since(connection: StoreConnection, at: int) -> int | None:
 
 
 def add_entries(connection: StoreConnection, cursor: Cursor, batch: Batch) -> tuple[Cursor, bool]:
-    """Add the events and alarms behind the cursor to a batch, up to its limit; return the cursor behind them,
+    """Add the events and alarms after the cursor to a batch, up to its limit; return the cursor after them,
     and whether these were all."""
     query = "SELECT * FROM events WHERE id > ? ORDER BY id LIMIT ?"
     events = connection.execute(query, (cursor.events, MAX_ENTRIES)).fetchall()
@@ -194,7 +194,7 @@ class HistoryRows:
     def add_blocks(
         self, connection: StoreConnection, tail: Tail, cursor: Cursor, batch: Batch
     ) -> tuple[Cursor, bool]:
-        """Add the blocks behind the cursor to a batch, up to its limit; return the cursor behind them, and
+        """Add the blocks after the cursor to a batch, up to its limit; return the cursor after them, and
         whether these were all. Readings that were given up before they were published are added as
         minutes."""
         given_up = tables.raw_from(connection)
@@ -227,7 +227,7 @@ class HistoryRows:
         start, end = span
         lost = tables.lost_between(connection, start, end + MINUTE, unit.key)
         batch.add(READING, (lost_row(unit.place, at, link) for _, at, link in lost))
-        # A reading counts until the next one: the minute before ends with the first of this one.
+        # A reading counts until the next one: the previous minute ends with the first of this one.
         runs = self._add_minutes(connection, tail, unit, (start - MINUTE, end), batch)
         within = [run for run in runs if start <= run.at < end]
         points = steps_of(within, self._step) if self._step else points_of(within)
@@ -241,7 +241,7 @@ class HistoryRows:
         span: tuple[int, int],
         batch: Batch,
     ) -> list[Run]:
-        """Add the minutes of a span; return the runs that are kept of it, and of a minute around it."""
+        """Add the minutes of a span; return the runs that are stored of it and of a minute around it."""
         start, end = span
         source = stored_unit(connection, tail, *unit.place, start - MINUTE, end + MINUTE)
         if source is None:
@@ -250,7 +250,7 @@ class HistoryRows:
             points = rollups(source, "minutes", VALUES["actual"], start, end)
             runs = runs_between(source, start - MINUTE, end + MINUTE)
             figures = None if self._is_ratio(source, unit, end) else _figures(source, unit, span, runs)
-        # Each minute by itself: what lies between two does not matter here.
+        # Each minute by itself: time between two readings does not matter here.
         alone = replace(points, solid=[True] * len(points.at))
         shown = series(alone, Marks(), unit.scales.actual)
         length = length_of(unit.settings)
@@ -278,11 +278,11 @@ class HistoryRows:
         runs = runs_of(plain)
         if self._step:
             return steps_of(runs, self._step)
-        # The last one may go on: its end is known when it is over.
+        # The last run may go on: its end is known when it is over.
         return points_of([*runs[:-1], runs[-1]._replace(until=runs[-1].at)])
 
     def add_lost(self, connection: StoreConnection, since: int, batch: Batch) -> None:
-        """Add the moments from a time on, µs, at which a unit or its bus was lost, and that are new."""
+        """Add the new moments from ``since`` on, µs, at which a unit or its bus was lost."""
         found = set(tables.lost_between(connection, since, _EVER))
         units = self.units(connection)
         lost = ((units[key].place, at, link) for key, at, link in found - self._lost if key in units)
@@ -302,8 +302,7 @@ def _unit(connection: StoreConnection, key: int, bus: BusSettings, number: int) 
 def _figures(
     source: StoredUnit, unit: PublishedUnit, span: tuple[int, int], runs: Sequence[Run]
 ) -> dict[int, RunFigures]:
-    """Return the figures of each minute of a span, from its runs where all of them are kept, else from
-    averages."""
+    """Return the figures of each minute of a span, from its runs if all are stored, else from averages."""
     start, end = span
     if not has_raw(source.connection, source.unit, start):
         runs = runs_of_minutes(minutes_of(source, start - MINUTE, end + MINUTE))
@@ -314,7 +313,7 @@ def _figures(
 # --- the past ---
 
 MAX_ROWS = 20_000
-"""Rows that are sent together."""
+"""The most rows that are sent together."""
 PIECE = 4 * HOUR
 
 
@@ -325,8 +324,8 @@ def fill(
     rows: HistoryRows,
     span: tuple[int, int],
 ) -> Iterator[tuple[int, int]]:
-    """Send everything of a span, µs: events, alarms, readings and minutes; each batch while the next one is
-    made. Yield up to when it was read, and how many rows are sent of that. Raises StoreError."""
+    """Send all data of a span, µs: events, alarms, readings and minutes; each batch while the next is made.
+    Yield the time up to which it was read, and the number of rows sent. Raise StoreError."""
     readings = () if history is None else _reading_batches(history, rows, span)
     with ThreadPoolExecutor(1) as thread:
         sending = thread.submit(lambda: None)

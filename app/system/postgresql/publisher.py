@@ -1,5 +1,4 @@
-"""The publisher: it copies what is stored into the plant's database, at once, or when the database is there
-again.
+"""The publisher: it copies stored data into the plant's database, at once, or when the database is back.
 
 Nothing waits for it. The threads of readers read the stores, and a thread of its own waits for the database.
 """
@@ -41,25 +40,25 @@ from bus.settings import BusSettings
 
 EVERY_S = 1.0
 REST = 4.0
-"""How many times the duration of a batch it rests while it is behind: people and buses come first."""
+"""The rest after a batch while it is behind, in durations of the batch: people and buses first."""
 MAX_REST_S = 2.0
 RETRY_S = (1.0, 2.0, 5.0, 10.0, 30.0)
-"""The time between two attempts, of which the last repeats."""
+"""The seconds between two attempts; the last value repeats."""
 STORE_EVERY_S = 10.0
-"""How often the cursor is stored. After a crash what was sent since is sent again."""
+"""The seconds between storing the cursor. After a crash, later rows are sent again."""
 AGAIN = 2 * MINUTE
-"""How much is sent again after a start: a store from a backup may be a moment older than the cursor, µs."""
+"""The span sent again after a start: a store from a backup may be older than the cursor, µs."""
 KEEP_UP_EVERY_S = 6 * 3600.0
 CLOCK_SAID_S = 60.0
-"""The difference of the clocks from which on there is a notice."""
+"""The difference of the clocks above which there is a notice."""
 log = structlog.get_logger()
 
 
 @dataclass(frozen=True, slots=True)
 class PublisherStatus:
-    """The state of the publisher. ``until``: everything that was stored up to then is published; ``fault``:
-    why nothing is published now; ``clock_ahead_s``: how far the clock of the database is ahead; ``rows``:
-    sent since the start."""
+    """The state of the publisher. ``until``: everything stored up to this time is published; ``fault``: why
+    nothing is published now; ``clock_ahead_s``: by how much the database's clock is ahead; ``rows``: the
+    number sent since the start."""
 
     place: str
     until: UnixTime
@@ -68,11 +67,11 @@ class PublisherStatus:
     rows: int = 0
 
     def lag_s(self, now: UnixTime) -> float:
-        """Return for how many seconds not everything was published."""
+        """Return the seconds of data that are not completely published."""
         return max(0.0, float(now - self.until))
 
     def state(self, now: UnixTime) -> Message:
-        """State in a sentence how up to date the database is."""
+        """Return a sentence about how current the database is."""
         seconds = number(f"{self.lag_s(now):.0f}")
         if self.fault is not None:
             return Message.of("publisher_lacks", reason=self.fault, seconds=seconds)
@@ -80,7 +79,7 @@ class PublisherStatus:
 
     @property
     def notice(self) -> Message | None:
-        """The reason why nothing is published, or that the clock of the database differs; None mostly."""
+        """The reason why nothing is published, or that the database's clock differs; usually None."""
         if self.fault is not None:
             return self.fault
         if abs(self.clock_ahead_s) < CLOCK_SAID_S:
@@ -90,7 +89,7 @@ class PublisherStatus:
 
 
 class Publisher:
-    """The publisher of a site; after a failure it waits and goes on where it was."""
+    """The publisher of a site; after a failure it waits and goes on from its cursor."""
 
     def __init__(
         self,
@@ -114,7 +113,7 @@ class Publisher:
         self.status = PublisherStatus(to.place, clock())
 
     async def follow(self) -> None:
-        """Publish without end."""
+        """Publish until canceled."""
         try:
             while True:
                 wait_s = await self._attempt()
@@ -128,7 +127,7 @@ class Publisher:
             await self._store(self._cursor)
 
     async def _attempt(self) -> float:
-        """Publish one batch; return for how many seconds to wait then."""
+        """Publish one batch; return the seconds to wait afterwards."""
         began = monotonic_now()
         try:
             is_behind = await self._publish()
@@ -147,7 +146,7 @@ class Publisher:
         return min(MAX_REST_S, REST * took) if is_behind else max(0.0, EVERY_S - took)
 
     async def _publish(self) -> bool:
-        """Send what is behind the cursor, as much as one batch has; return whether there is more. Raises
+        """Send the rows after the cursor, up to the limit of a batch; return whether there are more. Raise
         StoreError."""
         before = self._cursor = self._cursor or await self._begin()
         await in_thread(self._destination.connect, stop=self._destination.abandon)
@@ -178,8 +177,7 @@ class Publisher:
         return cursor, True, end
 
     async def _begin(self) -> Cursor:
-        """Return the stored cursor, or one at the end of what is stored: its past is filled in by a
-        command."""
+        """Return the stored cursor, or one at the end of the stored data: a command fills in the past."""
         stored = await self._database.read(read_cursor)
         if stored is None:
             events, alarms = await self._database.read(end_of_logs)

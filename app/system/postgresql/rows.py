@@ -24,8 +24,8 @@ _EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=
 
 
 class Table(NamedTuple):
-    """A table of the plant's database. ``columns``: in the order of a row, without the first one, which names
-    the site; ``key``: the columns that identify a row of a site; ``is_final``: a row never changes."""
+    """A table of the plant's database. ``columns``: in the order of a row, without the first column, which
+    names the site; ``key``: the columns that identify a row of a site; ``is_final``: a row never changes."""
 
     name: str
     columns: tuple[str, ...]
@@ -86,7 +86,7 @@ TABLES = (READING, MINUTE_TABLE, EVENT, ALARM, UNIT)
 
 @dataclass
 class Batch:
-    """Rows that are sent together, by table and key."""
+    """The rows that are sent together, by table and key."""
 
     rows: dict[Table, dict[Row, Row]] = field(default_factory=dict)
 
@@ -107,7 +107,7 @@ def instant(at: int) -> datetime:
 
 
 def instant_of(at: float | None) -> datetime | None:
-    """Convert Unix time to an instant; 1970 for one that no calendar has."""
+    """Convert Unix time to an instant; a time outside the calendar becomes 1970."""
     return None if at is None else instant(round(at * SECOND) if is_moment(at) else 0)  # type: ignore[arg-type]
 
 
@@ -123,7 +123,7 @@ def points_of(runs: Iterable[Run]) -> Iterator[tuple[int, Run]]:
 
 
 def steps_of(runs: Iterable[Run], step: int) -> Iterator[tuple[int, Run]]:
-    """Yield the last reading of each step in which the unit responded, with the beginning of the step, µs."""
+    """Yield the last reading of each step in which the unit responded, with the start of the step, µs."""
     last: dict[int, Run] = {}
     for run in runs:
         first = run.at - run.at % step
@@ -180,7 +180,7 @@ def _bits(word: int, estop_healthy: int) -> tuple[bool, ...]:
 
 
 def lost_row(place: tuple[str, int], at: int, link: str) -> Row:
-    """Return the row without values of the moment at which a unit or its bus was lost."""
+    """Return the row, without values, of the moment at which a unit or its bus was lost."""
     values = (None,) * (len(READING.columns) - len(READING.key) - 1)
     return (instant(at), *place, *values, link)
 
@@ -232,7 +232,7 @@ def event_row(entry: Mapping[str, Any]) -> Row:
 
 
 def alarm_row(transitions: Sequence[Mapping[str, Any]]) -> Row | None:
-    """Return the row of an occurrence of an alarm from its transitions in order; None if it never came."""
+    """Return the row of an alarm's occurrence from its transitions in order; None if it never came."""
     last = {each["trigger"]: each for each in transitions}
     came, cleared, answer = last.get("rise"), last.get("clear"), last.get("acknowledge")
     if came is None:
@@ -250,7 +250,7 @@ def alarm_row(transitions: Sequence[Mapping[str, Any]]) -> Row | None:
 
 
 def unit_row(bus: BusSettings, unit: UnitSettings, valid_from: datetime) -> Row:
-    """Return the row of a unit with the names that it has from ``valid_from`` on."""
+    """Return the row of a unit with its names from ``valid_from`` on."""
     length, labels = length_of(unit), unit.labels
     return (
         valid_from,

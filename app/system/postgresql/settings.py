@@ -24,12 +24,11 @@ STEPS_US: dict[Step, int] = {
     "30 s": 30_000_000,
     "1 min": 60_000_000,
 }
-"""Each divides a minute; 0: every reading."""
+"""The step of each setting in µs, each a divisor of a minute; 0: every reading."""
 
 
 def _url(written: str) -> str:
-    """Return a URL as libpq takes it, without a password: the configuration is shown, recorded and backed
-    up."""
+    """Return a URL for libpq without a password: the configuration is shown, recorded and backed up."""
     try:
         parts = urlsplit(written)
         has_password = parts.password is not None or "password" in dict(parse_qsl(parts.query))
@@ -43,31 +42,31 @@ def _url(written: str) -> str:
 
 
 class PostgresqlSettings(StrictModel):
-    """Where what is stored is published as rows, and how finely."""
+    """The database in which stored data is published as rows, and the density of the rows."""
 
     url: Annotated[str, Field(max_length=2000), AfterValidator(_url)]
     password_file: Path | None = None
-    """Relative to the configuration; absolute once loaded. None: as libpq finds it."""
+    """Relative to the configuration; absolute once loaded. None: as libpq finds the password."""
     db_schema: Annotated[str, Field(alias="schema", pattern=r"^[a-z_][a-z0-9_]*$", max_length=40)] = (
         "lineside"
     )
     readings: Step = "1 s"
     keep_months: Annotated[int, Field(strict=True, ge=1, le=1200)] | None = None
-    """So many complete months before the current one stay in the database; None: all."""
+    """The complete months before the current one that stay in the database; None: all."""
 
     @property
     def step(self) -> int:
-        """Return the distance of two rows of a unit, µs; 0: every reading is a row."""
+        """The distance of two rows of a unit, µs; 0: every reading is a row."""
         return STEPS_US[self.readings]
 
     @property
     def quoted_schema(self) -> str:
-        """Return the name of the schema quoted for SQL."""
+        """The name of the schema, quoted for SQL."""
         return f'"{self.db_schema}"'
 
     @property
     def place(self) -> str:
-        """Return how messages name the database: the host and the database, without the user."""
+        """The name of the database in messages: host and database, without the user."""
         parts = urlsplit(self.url)
         query = dict(parse_qsl(parts.query))
         host = parts.netloc.rpartition("@")[2] or query.get("host", "localhost")

@@ -1,1 +1,1 @@
-"""The state of the server on one page: what guards its records, since when, and what to do about it."""
+"""The page of the server's state: the safeguards of its records, their last times, the next actions."""

@@ -1,4 +1,4 @@
-"""The sizes of the stores, and for how long the free space of their disk is enough."""
+"""The sizes of the stores, and how long the free space of their disk lasts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bus.instants import UnixTime
 
 
 def size_of(store: Path) -> int:
-    """Return the bytes of a store with what SQLite has beside it."""
+    """Return the bytes of a store with the files that SQLite has beside it."""
     total = 0
     for suffix in ("", *COMPANIONS):
         with suppress(OSError):
@@ -26,12 +26,12 @@ def size_of(store: Path) -> int:
 
 
 def store_sizes(data: Path) -> dict[str, int]:
-    """Return the bytes of each store that is in a folder."""
+    """Return the bytes of each store in a folder."""
     return {name: size for name in STORES if (size := size_of(data / name))}
 
 
 def forecast(settings: Settings, stores: dict[str, int], free: int, now: UnixTime) -> float | None:
-    """Return for how many days the free bytes are enough, at most `MAX_DAYS`; None if not known yet."""
+    """Return the days that the free bytes last, at most `MAX_DAYS`; None if not known yet."""
     data = settings.server.data
     if not {HISTORY, STORE_FILE} <= stores.keys():
         return None

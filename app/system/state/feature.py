@@ -1,4 +1,4 @@
-"""The page *System*."""
+"""The feature of the page *System*."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ GB = 1e9
 
 @dataclass(frozen=True, slots=True)
 class SystemRow:
-    """One thing that guards the records. ``level``: the priority of its alarm, empty while all is well;
-    ``next``: when it happens again, in words where it goes on without end; ``help``: the chapter about it;
-    ``alarm``: the id of the alarm that says what is wrong."""
+    """A row about one safeguard of the records. ``level``: the priority of its alarm, empty while all is
+    well; ``next``: its next time, in words if it runs all the time; ``help``: the chapter about it;
+    ``alarm``: the id of the alarm about a fault."""
 
     name: Message | str
     state: Message
@@ -49,7 +49,7 @@ class SystemRow:
 
 
 async def system_rows(services: Services, now: UnixTime, monotonic: Monotonic) -> list[SystemRow]:
-    """Return what the page shows, in its order."""
+    """Return the rows of the page, in order."""
     rows = [
         _alarmed(services, _backups(services, now), "backup_overdue"),
         _alarmed(services, _audit_log(services), "audit_degraded", "events_not_archived"),
@@ -73,7 +73,7 @@ def _active(services: Services) -> Iterable[Alarm]:
 
 
 def _alarmed(services: Services, row: SystemRow, *codes: str) -> SystemRow:
-    """Return the row with the first of its alarms that is active: what it is about, and its response."""
+    """Return the row with the first of its alarms that is active: its subject and its response."""
     of_row = [alarm for code in codes for alarm in _active(services) if alarm.definition.code == code]
     return _row_of(services, of_row[0], row) if of_row else row
 
@@ -204,7 +204,7 @@ router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 @router.get("/system", dependencies=[SEARCH])
 async def system_page(request: Request, _: Viewer) -> Response:
-    """Show what guards the records of this server: its state, its last and next time, and what to do."""
+    """Show the safeguards of this server's records: state, last and next time, and actions."""
     services: Services = request.app.state.services
     rows = await system_rows(services, unix_now(), monotonic_now())
     return render(request, "system/page.html", rows=rows)
