@@ -118,7 +118,7 @@ class Problem(LinesideError):
 
 
 def or_404(found: T | None, code: ProblemCode, message: Message) -> T:
-    """Return ``found``, which a request names. Raises Problem 404 if it is None."""
+    """Return ``found``, which a request names. Raise Problem 404 if it is None."""
     if found is None:
         raise Problem(404, code, message)
     return found

@@ -92,7 +92,7 @@ def create_app(
     ``worker_tokens``: by bus, the token with which the server's own worker opens /feed. Its services run
     within its lifespan, or within that of ``app.state.services`` where the server does not call it.
 
-    Raises StoreError when the data cannot be used, RuntimeError for a route without a guard and for
+    Raise StoreError when the data cannot be used, RuntimeError for a route without a guard and for
     two services of one type.
     """
     services = Services(settings, demo=demo, worker_tokens=worker_tokens or {})

@@ -103,7 +103,7 @@ def _network(written: object) -> IPv4Network | IPv6Network:
 
 
 def host_name(written: str) -> str:
-    """Return a name or an address of a host, in small letters. Raises ValueError."""
+    """Return a name or an address of a host, in small letters. Raise ValueError."""
     bare = written.strip("[]").lower()
     if not _HOST_NAME.fullmatch(bare):
         try:
@@ -235,12 +235,12 @@ class Settings(StrictModel):
 
 
 def load(path: Path) -> Settings:
-    """Read the file. Raises ConfigurationError naming file, line and a correct value."""
+    """Read the file. Raise ConfigurationError naming file, line and a correct value."""
     return parse(configuration.read(path), path)
 
 
 def parse(text: str, path: Path) -> Settings:
-    """Parse the text of a file, or one that it may become. Raises ConfigurationError."""
+    """Parse the text of a file, or one that it may become. Raise ConfigurationError."""
     written = configuration.parse(text, path, Settings)
     settings = written.in_folder(path.resolve().parent)
     server, key_file = settings.server, settings.audit.key_file

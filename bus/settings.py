@@ -120,7 +120,7 @@ class Seam(NamedTuple):
 
 
 class UnitSettings(StrictModel):
-    """One DIGIMAX IV: its address (#17) and its name on the floor."""
+    """A DIGIMAX IV: its address (#17) and its name on the floor."""
 
     id: Annotated[int, Field(strict=True, ge=1, le=255)]
     name: Annotated[OneLine, Field(min_length=1, max_length=60)]
@@ -135,7 +135,7 @@ FORMER_KEYS_OF_BUS = ("take_over",)
 
 
 class BusSettings(Dialect):
-    """One RS-422 cable, its port, its dialect and its units in floor order."""
+    """An RS-422 cable, its port, its dialect and its units in floor order."""
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9]([a-z0-9-]*[a-z0-9])?$", max_length=40)]
     port: Annotated[str, Field(min_length=1)]

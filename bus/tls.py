@@ -35,7 +35,7 @@ class MalformedCertificateError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """One certificate. ``der``: its bytes."""
+    """A certificate. ``der``: its bytes."""
 
     der: bytes
     begins_at: UnixTime

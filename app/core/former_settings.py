@@ -55,7 +55,7 @@ def _name(path: KeyPath) -> str:
 
 
 def without_former_keys(data: object) -> object:
-    """Return the configuration without the keys that are ignored. Raises PydanticCustomError if its data is
+    """Return the configuration without the keys that are ignored. Raise PydanticCustomError if its data is
     in a database: a server that began beside it would look like one that has lost everything."""
     if not isinstance(data, dict):
         return data

@@ -63,7 +63,7 @@ class Lifespan:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Run from the first start to the last end. Raises StartError; the parts that have started are
+        """Run from the first start to the last end. Raise StartError; the parts that have started are
         ended."""
         async with AsyncExitStack() as stack:
             for name, start, end in self._parts:

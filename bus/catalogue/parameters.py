@@ -84,7 +84,7 @@ class Scale(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One row of the table. Ranges are raw integers, both ends included."""
+    """A row of the table. Ranges are raw integers, both ends included."""
 
     number: int
     name: str

@@ -35,7 +35,7 @@ from bus.messages import Message
 
 
 class Reading(TaggedStruct, frozen=True, tag="reading"):
-    """One response to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent. The app
+    """A response to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent. The app
     sets a speed beyond the manual's range to None; ``implausible`` is then what the unit sent."""
 
     unit: UnitId
@@ -162,7 +162,7 @@ class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
 
 
 class Frame(TaggedStruct, frozen=True, tag="frame"):
-    """One frame (or piece of noise) as it passed the port, with its meaning."""
+    """A frame (or piece of noise) as it passed the port, with its meaning."""
 
     at: Stamp
     direction: Direction

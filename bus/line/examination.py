@@ -141,7 +141,7 @@ _READABLE = [number for number, parameter in PARAMETERS.items() if not parameter
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """One read of a scan. ``doubled``: whether a checksum of 10h is sent twice."""
+    """A read of a scan. ``doubled``: whether a checksum of 10h is sent twice."""
 
     request: Request
     doubled: bool = False

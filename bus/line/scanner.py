@@ -55,7 +55,7 @@ async def scan_port(port: str, baud: int) -> AsyncIterator[ScanPort]:
 
 @dataclass(slots=True)
 class Collected:
-    """One exchange and everything that arrived in its window. Times are seconds of the line's clock."""
+    """An exchange and everything that arrived in its window. Times are seconds of the line's clock."""
 
     exchange: Exchange
     ends_sending: Monotonic

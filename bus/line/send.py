@@ -19,7 +19,7 @@ WRITE_ATTEMPTS = 4
 
 
 class Send(msgspec.Struct, frozen=True):
-    """One request and its response. ``fresh``: only a response that cannot be confused with an older one
+    """A request and its response. ``fresh``: only a response that cannot be confused with an older one
     counts. ``withdraws``: a write that takes back a staged speed; it may leave after the deadline."""
 
     request: Request

@@ -26,7 +26,7 @@ _VALID, _HIDDEN = 1, 2
 
 
 class TracedFrame(NamedTuple):
-    """One frame or piece of noise as it passed the port; ``at``: seconds since the epoch."""
+    """A frame or piece of noise as it passed the port; ``at``: seconds since the epoch."""
 
     at: UnixTime
     direction: Direction

@@ -233,7 +233,7 @@ LINE_SPEED = 1200
 
 
 class _Machine(NamedTuple):
-    """One section: ``draw`` is its speed as a part of the line's, ``ramp_s`` #6 and #7 in seconds."""
+    """A section: ``draw`` is its speed as a part of the line's, ``ramp_s`` #6 and #7 in seconds."""
 
     name: str
     group: str

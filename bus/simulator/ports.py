@@ -36,7 +36,7 @@ class RequestLine:
 
 
 class Slot(NamedTuple):
-    """One byte on the reply pair, complete at ``due``, and whether it begins or ends a transmission."""
+    """A byte on the reply pair, complete at ``due``, and whether it begins or ends a transmission."""
 
     due: float
     value: int

@@ -46,7 +46,7 @@ Detail: TypeAlias = "tuple[str, dict[str, Json], Message]"
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """One frame, perhaps without its checksum. ``fields`` show a secret, ``meaning`` does not."""
+    """A frame, perhaps without its checksum. ``fields`` show a secret, ``meaning`` does not."""
 
     uid: int
     kind: str

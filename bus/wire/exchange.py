@@ -321,10 +321,10 @@ ExchangeEvent = Responded | Foreign | Echo | Unexpected | Late | Duplicate | Noi
 
 
 class Exchange:
-    """One request and everything that comes back.
+    """A request and everything that comes back.
 
     ``decoder`` is that of the previous exchange if its bytes may still arrive; the default is a new one.
-    ``pending`` holds the late responses that the unit may still send, by default none. Raise CallerError for
+    ``pending`` holds the late responses that the unit may still send, by default none. Raises CallerError for
     a request that must not be sent.
     """
 

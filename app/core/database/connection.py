@@ -46,7 +46,7 @@ def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.C
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
-    """Open a connection that cannot write. Raises StoreError for a link."""
+    """Open a connection that cannot write. Raise StoreError for a link."""
     connection = _opened(path, "mode=ro")
     connection.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
     return connection
@@ -54,7 +54,7 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 
 def open_unchanged(path: Path) -> sqlite3.Connection:
     """Open a connection that reads and leaves no file, even on a read-only disk: for a reader alone SQLite
-    would make a log and its index. Raises StoreError for a link."""
+    would make a log and its index. Raise StoreError for a link."""
     log, shared = (path.with_name(path.name + companion) for companion in ("-wal", "-shm"))
     if not log.exists():
         return _opened(path, "mode=ro&immutable=1")
@@ -82,7 +82,7 @@ def _set_factories(connection: sqlite3.Connection) -> None:
 
 @contextmanager
 def examining(store: Path) -> Iterator[sqlite3.Connection]:
-    """Read a store and leave no file beside it. Raises StoreError, which has the fault in words."""
+    """Read a store and leave no file beside it. Raise StoreError, which has the fault in words."""
     with in_words(store), closing(open_unchanged(store)) as connection:
         yield connection
 
@@ -141,7 +141,7 @@ def size_of(connection: sqlite3.Connection) -> int:
 
 
 def is_intact(connection: sqlite3.Connection, table: str = "") -> bool:
-    """Return whether the pages of one table, or of all, are sound. Raises DamagedStoreError if even that
+    """Return whether the pages of one table, or of all, are sound. Raise DamagedStoreError if even that
     cannot be checked."""
     check = f"PRAGMA quick_check({table})" if table else "PRAGMA quick_check"
     return [row[0] for row in connection.execute(check)] == ["ok"]

@@ -71,7 +71,7 @@ class Database:
         return await self._run(self._readers, self.read_now, work)
 
     async def read_costly(self, work: Work[T]) -> T:
-        """Run a read that may take long apart from all others. Raises TooCostlyError after `COSTLY_S`."""
+        """Run a read that may take long apart from all others. Raise TooCostlyError after `COSTLY_S`."""
         return await self._run(self._costly, self._read_within, work)
 
     def write_now(self, work: Work[T]) -> T:

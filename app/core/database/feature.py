@@ -11,7 +11,7 @@ from app.feature import Feature, Services
 
 
 def make(services: Services) -> None:
-    """Open the store, which closes last, after the event of the server's end. Raises StoreError."""
+    """Open the store, which closes last, after the event of the server's end. Raise StoreError."""
     server, lifespan = services.settings.server, services.lifespan
     make_private(server.data)
     reserve = services.add(Reserve(server.data))

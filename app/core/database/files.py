@@ -77,7 +77,7 @@ def make_folder(path: Path) -> None:
 
 
 def make_file(path: Path) -> None:
-    """Make an empty file that only its user can read, unless it exists. Raises StoreError for a link.
+    """Make an empty file that only its user can read, unless it exists. Raise StoreError for a link.
 
     An existing file is not opened: closing a store would end the locks that SQLite holds on it.
     """
@@ -129,7 +129,7 @@ def refuse_link(path: Path) -> None:
 def make_private(folder: Path) -> None:
     """Take the rights of other users from a folder and everything in it.
 
-    Raises StoreError for files of another owner, who could give them back.
+    Raise StoreError for files of another owner, who could give them back.
     """
     with in_words(folder):
         make_folder(folder)

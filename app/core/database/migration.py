@@ -45,7 +45,7 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class Migration:
-    """One numbered step of a store to a newer version."""
+    """A numbered step of a store to a newer version."""
 
     number: int
     name: str
@@ -59,7 +59,7 @@ def migrations_in(folder: Path) -> list[Migration]:
 
 
 def _missing_in(applied: dict[int, str], folder: Path, store: str) -> list[Migration]:
-    """Return the steps of a folder that a store has not taken. Raises StoreError for a store of a newer
+    """Return the steps of a folder that a store has not taken. Raise StoreError for a store of a newer
     version."""
     known = migrations_in(folder)
     newer = set(applied) - {migration.number for migration in known}
@@ -82,7 +82,7 @@ def alone(path: Path) -> Iterator[None]:
 
 def bring_up_to_date(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
     """Apply missing steps, each completely or not at all, and return them. ``connection`` is in
-    autocommit. Raises StoreError for a store of a newer version and for a step that fails."""
+    autocommit. Raise StoreError for a store of a newer version and for a step that fails."""
     applied = _applied_steps(connection)
     missing = _missing_in(applied, folder, str(path))
     if missing and applied:
@@ -105,7 +105,7 @@ def _applied_steps(connection: sqlite3.Connection) -> dict[int, str]:
 
 
 def refuse_newer(connection: sqlite3.Connection, path: Path) -> list[Migration]:
-    """Return the steps that a main store has not taken. Raises StoreError for a store of a newer version."""
+    """Return the steps that a main store has not taken. Raise StoreError for a store of a newer version."""
     return _missing_in(_applied_steps(connection), MIGRATIONS, str(path))
 
 
@@ -187,7 +187,7 @@ def refusal_to_start(store: Path, presence: Presence, key: Path | None, *, new: 
 
 
 def presence_of(store: Path) -> Presence:
-    """Return whether a store is there, and in which state; nothing is created. Raises StoreError."""
+    """Return whether a store is there, and in which state; nothing is created. Raise StoreError."""
     try:
         with in_words(store):
             if not store.exists():
@@ -201,7 +201,7 @@ def presence_of(store: Path) -> Presence:
 
 
 def proves_intact(store: Path, stop: Callable[[], bool]) -> bool:
-    """Return whether every page of a store is sound. Raises StoreError if ``stop`` ended the check early."""
+    """Return whether every page of a store is sound. Raise StoreError if ``stop`` ended the check early."""
     try:
         with examining(store) as connection:
             connection.set_progress_handler(stop, STEPS)

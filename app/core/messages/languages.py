@@ -80,7 +80,7 @@ _UNUSED = (
 @cache
 def locale_of(name: str) -> Locale:
     """Return the locale of a name such as ``en_GB``, without 4.7 MiB that Babel keeps of two locales:
-    currencies, units, territories, and which language is likely where. Raises babel.UnknownLocaleError, and
+    currencies, units, territories, and which language is likely where. Raise babel.UnknownLocaleError, and
     ValueError for a text that is no name."""
     locale = Locale.parse(name)
     _ = locale.number_symbols  # It is read here, and the locale keeps it.

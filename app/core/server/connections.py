@@ -50,7 +50,7 @@ PROMPT_S = 0.25
 
 
 class ClientConnection:
-    """One connection of a client. This base class stands for one of which the server knows nothing."""
+    """A connection of a client. This base class stands for one of which the server knows nothing."""
 
     address = ""
     """The other end of the connection; the proxy's if it comes through one."""

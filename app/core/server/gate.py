@@ -104,7 +104,7 @@ class TcpSocket(Protocol):
     here."""
 
     def getsockopt(self, level: int, option: int, size: int, /) -> bytes:
-        """Return an option. Raises OSError if the system or the kind of socket does not know it."""
+        """Return an option. Raise OSError if the system or the kind of socket does not know it."""
 
 
 def age_s(connection: TcpSocket | None) -> float | None:
@@ -181,7 +181,7 @@ class Gates:
 
 
 class Gate(ClientConnection, asyncio.Protocol):
-    """One connection. ``inner``: uvicorn's protocol behind it, made once the client has sent something."""
+    """A connection. ``inner``: uvicorn's protocol behind it, made once the client has sent something."""
 
     transport: asyncio.Transport
 

@@ -21,7 +21,7 @@ MAX_BYTES = 4096
 
 
 def check_web_url(written: str) -> str:
-    """Return a URL of the web. Raises ValueError, without the URL, for any other, and for one with a
+    """Return a URL of the web. Raise ValueError, without the URL, for any other, and for one with a
     password."""
     try:
         parts = urlsplit(written)
@@ -70,7 +70,7 @@ class SecretFileError(LinesideError):
 
 
 def read_secret(path: Path) -> bytes:
-    """Return the content of a file without its final newline. Raises SecretFileError."""
+    """Return the content of a file without its final newline. Raise SecretFileError."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         with os.fdopen(descriptor, "rb") as file:
@@ -85,7 +85,7 @@ def read_secret(path: Path) -> bytes:
 
 
 def read_secret_text(path: Path) -> str:
-    """Return the content of a file as one line of ASCII. Raises SecretFileError."""
+    """Return the content of a file as one line of ASCII. Raise SecretFileError."""
     try:
         text = read_secret(path).decode("ascii").strip()
     except UnicodeDecodeError:

@@ -59,7 +59,7 @@ class TlsSession:
         """``is_over``: the client has announced its end."""
 
     def decrypt(self, data: bytes) -> bytes:
-        """Decrypt received data, as far as it is complete. Raises ssl.SSLError and NoTlsError."""
+        """Decrypt received data, as far as it is complete. Raise ssl.SSLError and NoTlsError."""
         if self._tls is None:
             self._hello += data
             if not self._has_hello():
@@ -181,7 +181,7 @@ class ServerCertificate:
 
 
 def _read(settings: TlsSettings) -> Contexts:
-    """Read the files. Raises TlsFileError."""
+    """Read the files. Raise TlsFileError."""
     (browsers, certificate), (workers, _) = _context(settings), _context(settings)
     if settings.client_ca is not None:
         load_authority(workers, settings.client_ca)
@@ -202,7 +202,7 @@ class ServerEvents(Protocol):
     """The record of events about the server."""
 
     async def record(self, *, kind: Literal["server"], what: Message, message: Message | str) -> object:
-        """Record an event. Raises StoreError."""
+        """Record an event. Raise StoreError."""
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ class FairQueue(Generic[K]):
 
     @asynccontextmanager
     async def turn(self, key: K, *, known: bool = True) -> AsyncIterator[None]:
-        """Wait for a turn. Raises TooManyWaitingError if this key, or all together, have enough waiting."""
+        """Wait for a turn. Raise TooManyWaitingError if this key, or all together, have enough waiting."""
         await self._wait(key, known)
         loop = asyncio.get_running_loop()
         begun = loop.time()

@@ -66,7 +66,7 @@ _TOKEN = " (token)"
 
 
 def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
-    """Return the role with this name. Raises CallerError for any other word."""
+    """Return the role with this name. Raise CallerError for any other word."""
     roles = list(among)
     if word not in roles:
         raise CallerError(Message.of("no_such_role", role=word[:80], known=", ".join(roles)))
@@ -114,7 +114,7 @@ class Caller:
         return f"{self.account} {self.created_at!r}"
 
     def granted(self, role: Role) -> Person:
-        """Return the person who may do what ``role`` may. Raises Problem 403 ``forbidden``."""
+        """Return the person who may do what ``role`` may. Raise Problem 403 ``forbidden``."""
         refuse_without(role, self)
         return Person(**vars(self))
 
@@ -152,7 +152,7 @@ def caller_of(connection: HTTPConnection) -> Caller | None:
 
 
 def person_of(connection: HTTPConnection) -> Person:
-    """Return the person with the grant of a request. Raises Problem 401 if its route requires none."""
+    """Return the person with the grant of a request. Raise Problem 401 if its route requires none."""
     person: Person | None = connection.scope.get("person")
     if person is None:
         raise not_signed_in()
@@ -171,11 +171,11 @@ class Requires:
     act: str = ""
 
     async def __call__(self, connection: HTTPConnection) -> Person:
-        """Return the person of the grant. Raises what `grant` raises."""
+        """Return the person of the grant. Raise the errors of `grant`."""
         return await self.granted_once(connection)
 
     async def granted_once(self, connection: HTTPConnection) -> Person:
-        """Return the person of the grant, which is made here unless this request has it already. Raises what
+        """Return the person of the grant, which is made here unless this request has it already. Raise what
         `grant` raises."""
         granted: set[Requires] = connection.scope.setdefault("granted", set())
         if self not in granted:
@@ -184,14 +184,14 @@ class Requires:
         return person_of(connection)
 
     async def grant(self, connection: HTTPConnection) -> Person:
-        """Grant the role to the caller. Raises Problem 401, 403 or, for a write that was delayed on its way,
+        """Grant the role to the caller. Raise Problem 401, 403 or, for a write that was delayed on its way,
         503."""
         person = self.permitted(connection)
         refuse_late(connection)
         return person
 
     def permitted(self, connection: HTTPConnection) -> Person:
-        """Check the role alone. Raises Problem 401 or 403."""
+        """Check the role alone. Raise Problem 401 or 403."""
         caller = caller_of(connection)
         if caller is None:
             raise not_signed_in()

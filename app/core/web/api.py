@@ -88,7 +88,7 @@ class _OfOneMeaning(Request):
     """A request whose JSON has no repeated key (RFC 8259, 4 leaves open which of them would hold)."""
 
     async def json(self) -> Any:
-        """Return the body as JSON. Raises Problem 422 for a repeated key."""
+        """Return the body as JSON. Raise Problem 422 for a repeated key."""
         body = await self.body()
         if len(body) <= MAX_PLAIN_BODY_BYTES:
             return _loads(body)
@@ -224,7 +224,7 @@ def rendered_once(app: FastAPI) -> Asset:
 
 
 def openapi_document(app: Any) -> dict[str, Any]:
-    """Return the document of an app. Raises ValueError if two schemas would have one name."""
+    """Return the document of an app. Raise ValueError if two schemas would have one name."""
     document = with_published_names(
         get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
     )
@@ -268,7 +268,7 @@ def schema_name(model: str) -> str:
 
 
 def with_published_names(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the document with every schema under its published name. Raises ValueError if two would have the
+    """Return the document with every schema under its published name. Raise ValueError if two would have the
     same."""
     schemas = document["components"]["schemas"]
     named = {schema_name(name): schema for name, schema in schemas.items()}

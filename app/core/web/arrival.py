@@ -32,7 +32,7 @@ SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 def made_at(connection: HTTPConnection) -> Monotonic:
     """Return when this request was made; for one that only reads, when it arrived.
 
-    Raises Problem 422 if the ``Lineside-Sent-At`` of a write is impossible.
+    Raise Problem 422 if the ``Lineside-Sent-At`` of a write is impossible.
     """
     now = monotonic_now()
     arrived = Monotonic(connection.scope.get("state", {}).get(ARRIVED_AT, now))
@@ -56,7 +56,7 @@ def _only_reads(connection: HTTPConnection) -> bool:
 
 
 def _program_sent_at(connection: HTTPConnection) -> UnixTime | None:
-    """Return when a program states that it sent the request, Unix time in seconds. Raises Problem 422."""
+    """Return when a program states that it sent the request, Unix time in seconds. Raise Problem 422."""
     given = connection.headers.getlist(SENT_AT)
     if not given:
         return None

@@ -131,7 +131,7 @@ class Assets:
         return f"/static/{self.version}/{name}"
 
     def get(self, name: str) -> Asset:
-        """Return a file by its name. Raises Problem 404 for an unknown one."""
+        """Return a file by its name. Raise Problem 404 for an unknown one."""
         if name not in self._files:
             raise Problem(404, "not_found", Message.of("no_such_file", path=name))
         if name not in self._loaded:
@@ -149,7 +149,7 @@ class Assets:
 
     def imports(self, module: str) -> list[str]:
         """Return the addresses of all modules that a module needs before it runs, for a page to request at
-        once. Later imports, by a call, are left out. Raises Problem 404."""
+        once. Later imports, by a call, are left out. Raise Problem 404."""
         if module not in self._imports:
             needed: dict[str, None] = {}
             self._add_imports(module, needed)
@@ -168,5 +168,5 @@ class Assets:
         return iter(self._files)
 
     def pack(self, name: str) -> None:
-        """Compress a file before its first request. Raises Problem 404."""
+        """Compress a file before its first request. Raise Problem 404."""
         self.get(name).pack()

@@ -179,7 +179,7 @@ def request_problem(scope: Scope, allowed_hosts: Collection[str]) -> Problem | N
 
 
 def bounded(scope: Scope, receive: Receive, most_bytes: int) -> Receive:
-    """Return ``receive`` for a body of at most ``most_bytes``. Raises Problem 413 if a larger length is
+    """Return ``receive`` for a body of at most ``most_bytes``. Raise Problem 413 if a larger length is
     announced, and in ``receive`` if the body turns out to be larger."""
     announced = parse_integer(Headers(scope=scope).get("content-length", ""))
     if announced is not None and announced > most_bytes:

@@ -131,7 +131,7 @@ class RouteGuard:
     """
 
     def __init__(self, route: APIRoute) -> None:
-        """Make the guard. Raises RuntimeError for a route that declares neither a role nor that it is public:
+        """Make the guard. Raise RuntimeError for a route that declares neither a role nor that it is public:
         it is never served."""
         calls = list(calls_of(route))
         self._app = route.app

@@ -51,7 +51,7 @@ class Registry:
         return found
 
     def of_bus(self, bus: str) -> Registry:
-        """Return the services of a configured bus. Raises Problem 404."""
+        """Return the services of a configured bus. Raise Problem 404."""
         if bus not in self.buses:
             raise unknown_bus(bus, self.buses)
         return self.buses[bus]
@@ -67,7 +67,7 @@ def service_of(connection: HTTPConnection, kind: type[S]) -> S:
 
 
 def bus_service_of(connection: HTTPConnection, bus: str, kind: type[S]) -> S:
-    """Return the service of this type of a configured bus. Raises Problem 404."""
+    """Return the service of this type of a configured bus. Raise Problem 404."""
     services: Registry = connection.app.state.services
     return services.of_bus(bus)[kind]
 

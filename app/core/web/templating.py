@@ -129,7 +129,7 @@ class Templates:
         return self.environment(tag).get_template(name).render(context)
 
     def permit(self, roles: Mapping[str, Role]) -> None:
-        """Add acts and commands with their roles, by the name that templates give to ``may()``. Raises
+        """Add acts and commands with their roles, by the name that templates give to ``may()``. Raise
         RuntimeError for a name that exists already."""
         if twice := roles.keys() & self._roles.keys():
             raise RuntimeError(f"two commands or acts are named {', '.join(sorted(twice))}")

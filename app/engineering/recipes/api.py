@@ -74,7 +74,7 @@ class RecipeSetpointShown(TypedDict):
 
 
 class RecipeShown(TypedDict):
-    """One version of a recipe."""
+    """A version of a recipe."""
 
     id: int
     bus: str

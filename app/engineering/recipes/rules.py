@@ -44,7 +44,7 @@ class RecipeSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """One version of a named set of setpoints. It never changes: a change is saved as a new version."""
+    """A version of a named set of setpoints. It never changes: a change is saved as a new version."""
 
     bus: str
     name: str

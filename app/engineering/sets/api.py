@@ -66,7 +66,7 @@ class SaveScheduleRequest(StrictBody):
 
 
 class ParameterSetParameter(TypedDict):
-    """One parameter in a set."""
+    """A parameter in a set."""
 
     number: Number
     name: str
@@ -80,7 +80,7 @@ class ParameterSetParameter(TypedDict):
 
 
 class ParameterSetUnit(TypedDict):
-    """One unit in a set."""
+    """A unit in a set."""
 
     id: UnitAddress
     name: str

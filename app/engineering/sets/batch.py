@@ -44,7 +44,7 @@ _LEARN_WITHIN_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class BatchRow:
-    """One unit of a batch, with the text that was ``typed`` for it.
+    """A unit of a batch, with the text that was ``typed`` for it.
 
     ``wanted``: the raw value to write, if any; ``fault``: the reason why the text is refused; ``warning``:
     the effect of the write on the machine now.

@@ -104,7 +104,7 @@ FILE_FORM: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One side of a comparison. ``kind``: set, golden or live; ``source``: the set's number, or the bus."""
+    """A side of a comparison. ``kind``: set, golden or live; ``source``: the set's number, or the bus."""
 
     kind: str
     source: str

@@ -35,7 +35,7 @@ SetOrigin = Literal[
 
 @dataclass(frozen=True, slots=True)
 class ParameterRow:
-    """One parameter as read from a unit: the ``raw`` value, the time, the frame.
+    """A parameter as read from a unit: the ``raw`` value, the time, the frame.
 
     ``raw`` is None if the unit does not have the parameter (``available`` False), if it was never read, and
     if it is masked as a secret.
@@ -125,7 +125,7 @@ _DIFFERENCES: dict[int, str] = {
 
 @dataclass(frozen=True, slots=True)
 class ParameterDifference:
-    """One row of a comparison, as text and as raw values."""
+    """A row of a comparison, as text and as raw values."""
 
     number: Number
     name: str

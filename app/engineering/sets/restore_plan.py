@@ -88,7 +88,7 @@ _BOUNDS = ((numbers.ANALOG_IN_LOW, numbers.ANALOG_IN_HIGH), (numbers.ANALOG_OUT_
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """One row to write."""
+    """A row to write."""
 
     number: int
     present: int
@@ -334,7 +334,7 @@ _ACCOUNT: dict[str, tuple[Outcome | None, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class RowResult:
-    """One row of the plan and its outcome, once it was tried or given up."""
+    """A row of the plan and its outcome, once it was tried or given up."""
 
     write: Write
     outcome: Outcome | None = None

@@ -108,7 +108,7 @@ ON_OFF = (term("off"), term("on"))
 
 @dataclass(frozen=True, slots=True)
 class TrayRow:
-    """One change in a review.
+    """A change in a review.
 
     ``was``: the present raw value, None if not known; ``old``: the same as text, empty if not known;
     ``refusal``: the reason why it cannot be sent now, None if none is known; ``effect``: the consequence;

@@ -46,7 +46,7 @@ class AlarmRationalization:
 
 @dataclass(frozen=True, slots=True)
 class AlarmDefinition:
-    """One alarm of a unit, a bus or the site. ``key`` identifies it for good, even after a restart."""
+    """An alarm of a unit, a bus or the site. ``key`` identifies it for good, even after a restart."""
 
     key: str
     code: str

@@ -182,7 +182,7 @@ class AlarmList:
         self._changed = {alarm.definition.key: alarm for alarm in alarms} | self._changed
 
     async def write(self) -> None:
-        """Write everything that is not on disk yet. Raises StoreError; the changes then wait."""
+        """Write everything that is not on disk yet. Raise StoreError; the changes then wait."""
         async with self.writing:
             entries, alarms = self.pop_unwritten()
             if not entries and not alarms:
@@ -195,7 +195,7 @@ class AlarmList:
                 raise
 
     async def record_observed(self) -> None:
-        """Store until when the alarms were observed. Raises StoreError."""
+        """Store until when the alarms were observed. Raise StoreError."""
         if self.observed is not None:
             await self._store.write_observed(self._place, self.observed)
             self._recorded = self.observed
@@ -269,7 +269,7 @@ class ActTransaction:
         **fields: Unpack[EventFields],
     ) -> None:
         """Record the act in the audit log, together with the journal and what is written ``beside`` it.
-        Raises StoreError; every alarm is then as before, unless it has changed since."""
+        Raise StoreError; every alarm is then as before, unless it has changed since."""
         taken = [(each, *each.pop_unwritten()) for each in self._lists]
         written = [*beside, *(alarm_writer(entries, alarms) for _, entries, alarms in taken)]
 

@@ -53,7 +53,7 @@ AcknowledgedAt = Annotated[MaybeInstant, Field(description="When a person acknow
 
 
 class AlarmShown(TypedDict):
-    """One alarm and its present occurrence."""
+    """An alarm and its present occurrence."""
 
     id: Annotated[str, Field(description="Names the occurrence: another one has another id.")]
     name: str
@@ -84,7 +84,7 @@ class AlarmShown(TypedDict):
 
 
 class AlarmTransition(TypedDict):
-    """One change of an alarm."""
+    """A change of an alarm."""
 
     id: int
     time: Instant
@@ -187,7 +187,7 @@ class AlarmsShown(TypedDict):
 
 
 class AlarmDetail(TypedDict):
-    """One alarm, its record, and its newest transitions."""
+    """An alarm, its record, and its newest transitions."""
 
     alarm: AlarmShown
     record: AlarmRationalization
@@ -322,7 +322,7 @@ COLUMNS = (
 
 
 def month_at_most(since: datetime | None, until: datetime | None) -> tuple[UnixTime, UnixTime]:
-    """Return the span from ``since`` to ``until``, by default the last week. Raises Problem 422 for one that
+    """Return the span from ``since`` to ``until``, by default the last week. Raise Problem 422 for one that
     is reversed or too long."""
     for name, at in (("from", since), ("to", until)):
         if at is not None:

@@ -69,7 +69,7 @@ class RecordedAlarm(NamedAlarm):
 
 @dataclass(frozen=True, slots=True)
 class JournalEntry(RecordedAlarm):
-    """One transition of an alarm."""
+    """A transition of an alarm."""
 
     at: UnixTime
     trigger: AlarmTrigger
@@ -182,7 +182,7 @@ class AlarmStore:
         await self._database.write(lambda connection: connection.execute(statement, (place, *span)))
 
     async def read_costly(self, work: Callable[[StoreConnection], T]) -> T:
-        """Read many transitions. Raises TooCostlyError after a bounded time."""
+        """Read many transitions. Raise TooCostlyError after a bounded time."""
         return await self._database.read_costly(work)
 
     async def journal(
@@ -193,7 +193,7 @@ class AlarmStore:
         chosen: JournalFilter | None = None,
     ) -> list[JournalEntry]:
         """Return transitions, newest first: all, those of one alarm, or as ``chosen``; ``before``: those
-        older than this entry. Raises TooCostlyError if few of very many are chosen."""
+        older than this entry. Raise TooCostlyError if few of very many are chosen."""
         conditions, values = (chosen or JournalFilter(None if alarm is None else (alarm,))).sql
         where = f"id < ?{conditions} ORDER BY id DESC LIMIT ?"
         query = f"SELECT {', '.join(_COLUMNS)}, id FROM alarm_journal WHERE {where}"
@@ -390,7 +390,7 @@ async def measure(
     end: UnixTime,
 ) -> AlarmPerformance:
     """Return the figures of a span. ``present``: the facts of the alarms that are not normal; ``observed``:
-    the spans of this run, which the store learns a minute late. Raises TooCostlyError."""
+    the spans of this run, which the store learns a minute late. Raise TooCostlyError."""
     now = _now(present, end)
     return await store.read_costly(lambda connection: _measured(connection, start, end, observed, now))
 

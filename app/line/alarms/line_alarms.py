@@ -65,7 +65,7 @@ class ExpiryWatch:
             await asyncio.sleep(LOOK_EVERY_S)
 
     async def look(self) -> None:
-        """Look once. Raises StoreError."""
+        """Look once. Raise StoreError."""
         now = self._clock()
         self.token = _first(
             (token.expires_at, token.name)
@@ -246,7 +246,7 @@ class LineAlarms:
         return next((each.known[key] for each in self._lists if key in each.known), None)
 
     async def measure(self, start: UnixTime, end: UnixTime) -> AlarmPerformance:
-        """Return the figures of the alarm system over a span. Raises TooCostlyError."""
+        """Return the figures of the alarm system over a span. Raise TooCostlyError."""
         present = [alarm.facts for alarm in self._present.values()]
         observed = [each.observed for each in self._lists if each.observed is not None]
         return await measure(self.store, present, observed, start, end)
@@ -284,7 +284,7 @@ class LineAlarms:
         return name_on_site(bus, names[unit], self.buses)
 
     def find(self, alarm_id: str) -> FoundAlarm:
-        """Return the alarm of an id. Raises Problem 404, or 409 if the id names an earlier occurrence."""
+        """Return the alarm of an id. Raise Problem 404, or 409 if the id names an earlier occurrence."""
         key, _, occurrence = alarm_id.rpartition(".")
         for each in self._lists:
             alarm = each.alarms.get(key)
@@ -298,7 +298,7 @@ class LineAlarms:
         raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id[:200]))
 
     async def act(self, person: Person, act: AlarmAct, alarm_id: str, body: ActBody | None = None) -> Alarm:
-        """Do ``act`` to the occurrence of an id; ``body``: the body of the request. Raises Problem 403, 404
+        """Do ``act`` to the occurrence of an id; ``body``: the body of the request. Raise Problem 403, 404
         or, if the alarm has come again or its state has no such transition, 409."""
         act.check(person)
         body = body or act.body()
@@ -319,7 +319,7 @@ class LineAlarms:
 
     async def silence_sounding(self, person: Person, until: UnixTime) -> None:
         """End the sound of every alarm that began to sound by ``until``; if that cannot be recorded, no alarm
-        is silenced. Raises Problem 403 and StoreError."""
+        is silenced. Raise Problem 403 and StoreError."""
         SILENCE_SOUNDING.check(person)
         async with AsyncExitStack() as writing:
             for each in self._lists:

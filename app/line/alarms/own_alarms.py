@@ -122,7 +122,7 @@ class OwnAlarmBook:
         return [*configured, *added]
 
     def _fitting(self, written: Mapping[str, Any]) -> AlarmSettings:
-        """Read an alarm as a person wrote it. Raises Problem 422, or 409 if its name is taken."""
+        """Read an alarm as a person wrote it. Raise Problem 422, or 409 if its name is taken."""
         settings = proposed(written, self._bus_settings)
         if (settings.bus, settings.name) in {(each.bus, each.name) for each, _ in self.every()}:
             raise Problem(409, "taken", Message.of("own_alarm_taken", name=settings.name, bus=settings.bus))
@@ -131,7 +131,7 @@ class OwnAlarmBook:
     async def add(
         self, person: Person, written: Mapping[str, Any], key_of_request: str | None = None
     ) -> OwnAlarm:
-        """Add an alarm, which is observed from the next reading on. A repeated request adds it once. Raises
+        """Add an alarm, which is observed from the next reading on. A repeated request adds it once. Raise
         Problem."""
         ADD_OWN.check(person)
         request = f"{person.account}:{key_of_request}" if key_of_request else ""
@@ -165,7 +165,7 @@ class OwnAlarmBook:
         self, person: Person, key: str, version: int, written: Mapping[str, Any], reason: str = ""
     ) -> OwnAlarm:
         """Replace the definition of an alarm, whose name and unit stay. The alarm ends, and comes again with
-        the next reading that fulfills the new definition. ``version``: the one that was changed. Raises
+        the next reading that fulfills the new definition. ``version``: the one that was changed. Raise
         Problem."""
         CHANGE_OWN.check(person)
         async with self._acting:
@@ -180,7 +180,7 @@ class OwnAlarmBook:
             return own
 
     async def remove(self, person: Person, key: str, version: int, reason: str) -> None:
-        """End an alarm and its definition. Raises Problem."""
+        """End an alarm and its definition. Raise Problem."""
         REMOVE_OWN.check(person)
         async with self._acting:
             aside = self.left_aside.get(key)

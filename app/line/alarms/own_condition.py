@@ -158,7 +158,7 @@ def _rule_of(settings: AlarmSettings, decimals: int) -> LimitRule:
 
 
 def proposed(written: Mapping[str, Any], buses: Sequence[BusSettings]) -> AlarmSettings:
-    """Return the settings of an alarm as a person wrote it. Raises Problem 422 with every fault in words."""
+    """Return the settings of an alarm as a person wrote it. Raise Problem 422 with every fault in words."""
     try:
         settings = AlarmSettings.model_validate(written)
     except ValidationError as error:

@@ -360,7 +360,7 @@ for alarm_act in ALARM_ACTS:
 
 
 def given_reason(reason: str) -> str:
-    """Return a reason without the blanks around it. Raises Problem 422 for a blank one."""
+    """Return a reason without the blanks around it. Raise Problem 422 for a blank one."""
     if not reason.strip():
         raise Problem(422, "invalid", Message("alarm_needs_reason"))
     return reason.strip()

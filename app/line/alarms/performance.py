@@ -75,7 +75,7 @@ AT_LEAST: dict[FigureCode, float] = {"low_share": 0.8}
 
 @dataclass(frozen=True, slots=True)
 class AlarmFigure:
-    """One figure and its target."""
+    """A figure and its target."""
 
     code: AlarmFigureCode
     value: Annotated[

@@ -202,21 +202,21 @@ def _detect(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Cha
 
 
 def acknowledge(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """Acknowledge an alarm. Raises NoTransitionError, even while the alarm is hidden."""
+    """Acknowledge an alarm. Raise NoTransitionError, even while the alarm is hidden."""
     if facts.is_hidden or facts.acknowledged:
         raise NoTransitionError
     return _acknowledged(facts, at)
 
 
 def reset(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """End a latch. Raises NoTransitionError, even while the alarm is hidden."""
+    """End a latch. Raise NoTransitionError, even while the alarm is hidden."""
     if facts.is_hidden or not (facts.latched and facts.acknowledged):
         raise NoTransitionError
     return _reset(facts, at)
 
 
 def silence(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """End the sound of an alarm, whose state stays. Raises NoTransitionError if it does not sound."""
+    """End the sound of an alarm, whose state stays. Raise NoTransitionError if it does not sound."""
     if not facts.sounds:
         raise NoTransitionError
     return _moved(facts, replace(facts, silenced=True), "silence", at)
@@ -225,28 +225,28 @@ def silence(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
 def shelve(
     facts: AlarmFacts, _: AlarmAttributes, at: UnixTime, *, for_s: float, once: bool = False
 ) -> Changed:
-    """Hide an alarm for a time; ``once``: or until its condition ends. Raises NoTransitionError."""
+    """Hide an alarm for a time; ``once``: or until its condition ends. Raise NoTransitionError."""
     if facts.shelved_until is not None or facts.out_of_service:
         raise NoTransitionError
     return _moved(facts, replace(facts, shelved_until=at + for_s, shelved_once=once), "shelve", at)
 
 
 def unshelve(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """End a shelving before its time. Raises NoTransitionError."""
+    """End a shelving before its time. Raise NoTransitionError."""
     if facts.shelved_until is None:
         raise NoTransitionError
     return _unshelved(facts, at)
 
 
 def remove_from_service(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """Hide an alarm until it is returned to service. Raises NoTransitionError."""
+    """Hide an alarm until it is returned to service. Raise NoTransitionError."""
     if facts.out_of_service:
         raise NoTransitionError
     return _moved(facts, replace(facts, out_of_service=True), "remove", at)
 
 
 def return_to_service(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-    """Annunciate an alarm again. Raises NoTransitionError."""
+    """Annunciate an alarm again. Raise NoTransitionError."""
     if not facts.out_of_service:
         raise NoTransitionError
     return _shown(facts, replace(facts, out_of_service=False), "return", at)

@@ -301,7 +301,7 @@ class Simulator:
     async def run(
         self, bus: BusSettings, settings: AlarmSettings, start: UnixTime, end: UnixTime, account: str
     ) -> AlarmSimulation:
-        """Return what an alarm would have done from ``start`` to ``end``. Raises StoreError if history cannot
+        """Return what an alarm would have done from ``start`` to ``end``. Raise StoreError if history cannot
         be read, TooManyWaitingError if too many simulations of the account wait."""
         async with self._turns.turn(account):
             return await self._run(bus, settings, start, end)
@@ -388,7 +388,7 @@ def _outcome(
 
 
 class StoredHour:
-    """One hour of a unit from the store, read on one connection. ``start`` and ``end``: complete minutes,
+    """An hour of a unit from the store, read on one connection. ``start`` and ``end``: complete minutes,
     µs."""
 
     def __init__(

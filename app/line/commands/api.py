@@ -81,7 +81,7 @@ Attempts = Annotated[int, Field(description="How often the request was sent.")]
 
 
 class FrameShown(TypedDict):
-    """One frame as it passed the port."""
+    """A frame as it passed the port."""
 
     at: Annotated[Instant, Field(description="ISO 8601 in UTC, milliseconds.")]
     direction: Annotated[Direction, Field(description="out: a request, in: a response.")]
@@ -341,7 +341,7 @@ class CommandCall:
         return Deadline(self.made_at, usual if given is None else given)
 
     async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> tuple[int, Scales]:
-        """Return the raw setpoint of a unit, and its scale. Raises Problem 404."""
+        """Return the raw setpoint of a unit, and its scale. Raise Problem 404."""
         unit_of_bus_or_404(self.bus, unit)
         if given.raw is not None:
             return given.raw, {}
@@ -501,7 +501,7 @@ async def get_parameters(
 
 
 async def _read(call: CommandCall, unit: int, numbers: list[int], *, gaps: bool) -> None:
-    """Read parameters from the unit. Raises Problem 503 or 504 if not all of them come."""
+    """Read parameters from the unit. Raise Problem 503 or 504 if not all of them come."""
     action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
     result = await call.commands.send(call.person, action)
     check_all_read(unit, numbers, result)

@@ -82,7 +82,7 @@ SCAN_S = 180.0
 
 @dataclass(frozen=True, slots=True)
 class CommandKind(Generic[A]):
-    """One kind of command. Its functions take the request, and the bus as it is now."""
+    """A kind of command. Its functions take the request, and the bus as it is now."""
 
     request: type[A]
     role: Role

@@ -80,7 +80,7 @@ class Control:
         return request
 
     def take(self, who: str, now: Monotonic, at: UnixTime) -> Holding:
-        """Take control if it is free; ``at`` is shown as its beginning. Raises Problem 409."""
+        """Take control if it is free; ``at`` is shown as its beginning. Raise Problem 409."""
         holding = self.holding(now)
         if holding is not None and holding.holder != who:
             raise controlled(Message.of("control_held_by", who=account_shown(holding.holder)))
@@ -92,14 +92,14 @@ class Control:
     def hand_over(
         self, who: str, to: str, now: Monotonic, at: UnixTime, *, by_force: bool = False
     ) -> Holding:
-        """Hand control over; ``at`` is shown as its beginning. Raises Problem 409 for a user who does not
+        """Hand control over; ``at`` is shown as its beginning. Raise Problem 409 for a user who does not
         hold it."""
         if not by_force:
             self._require(who, now)
         return self._give(to, now, at)
 
     def release(self, who: str, now: Monotonic) -> None:
-        """Release control. Raises Problem 409 for an account that does not hold it."""
+        """Release control. Raise Problem 409 for an account that does not hold it."""
         self._require(who, now)
         self._free()
 
@@ -114,7 +114,7 @@ class Control:
         return held
 
     def request(self, who: str, now: Monotonic) -> bool:
-        """Request control from its holder. Return whether the request is new. Raises Problem 409 if control
+        """Request control from its holder. Return whether the request is new. Raise Problem 409 if control
         is free or held by ``who``, while another request is open, and for a while after the holder has
         declined."""
         holding = self.holding(now)
@@ -135,13 +135,13 @@ class Control:
         return True
 
     def requester(self, who: str, now: Monotonic) -> str:
-        """Return the account whose pending request ``who``, the holder, may grant. Raises Problem 409."""
+        """Return the account whose pending request ``who``, the holder, may grant. Raise Problem 409."""
         self._require(who, now)
         return self._pending(now).by
 
     def end_request(self, who: str, now: Monotonic) -> RequestedControl:
         """End the pending request: its account withdraws it, the holder declines it. Return the ended
-        request. Raises Problem 409 for anyone else, and if there is none."""
+        request. Raise Problem 409 for anyone else, and if there is none."""
         request, holding = self._pending(now), self.holding(now)
         if request.by == who:
             self._request = None

@@ -185,7 +185,7 @@ class Restrictions:
 
 
 def read_protection(store: StoreConnection) -> Protection:
-    """Read every limit and block of a store, of any version. Raises StoreError if it cannot be read."""
+    """Read every limit and block of a store, of any version. Raise StoreError if it cannot be read."""
     tables = {name for (name,) in store.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     return {table: _rows(store, table) for table in _PROTECTION if table in tables}
 

@@ -84,7 +84,7 @@ class PageContext:
         return person_of(self.request)
 
     def of_bus(self, bus: str) -> BusPage:
-        """Return this request for one bus. Raises Problem 404."""
+        """Return this request for one bus. Raise Problem 404."""
         return BusPage(self.request, bus)
 
     def buses(self) -> list[BusPage]:
@@ -155,15 +155,15 @@ class BusPage(PageContext):
     async def typed_setpoint(
         self, unit: int, text: str, deadline: Deadline | None = None
     ) -> tuple[int, UnitScale]:
-        """Convert a typed setpoint; returns it, raw, with its scale. Raises CallerError and Problem."""
+        """Convert a typed setpoint; returns it, raw, with its scale. Raise CallerError and Problem."""
         return await self.commands.convert_setpoint(self.person, unit, text, deadline or self.deadline())
 
     def check(self, action: Action) -> None:
-        """Check a command without reading anything. Raises Problem if it would not be sent."""
+        """Check a command without reading anything. Raise Problem if it would not be sent."""
         self.commands.check(self.person, action, confirm=True)
 
     async def judge(self, action: Action, deadline: Deadline | None = None) -> None:
-        """Check a command; parameters that bound it are read first, within its time. Raises Problem if it
+        """Check a command; parameters that bound it are read first, within its time. Raise Problem if it
         would not be sent."""
         await self.commands.read_ranges(self.person, action, deadline or self.deadline())
         self.check(action)
@@ -192,7 +192,7 @@ class BusPage(PageContext):
         scales: Scales | None = None,
     ) -> Result:
         """Send the reviewed command, once. ``deadline``: if not that of its kind; ``undoes``: the id of the
-        command that it undoes; ``scales``: those of the review. Raises Problem if it is not sent."""
+        command that it undoes; ``scales``: those of the review. Raise Problem if it is not sent."""
         timeout_s = kind_of_command(action).timeout_s(action, self.bus)
         deadline = deadline or Deadline(self.made_at, timeout_s)
         return await self.commands.send(
@@ -221,7 +221,7 @@ class BusPage(PageContext):
     async def carry_out(
         self, action: Action, confirmation: Confirmation, scales: Scales | None = None
     ) -> Result:
-        """Send a confirmed command while its review lasts; ``scales``: those of the review. Raises Problem if
+        """Send a confirmed command while its review lasts; ``scales``: those of the review. Raise Problem if
         it is not sent."""
         if not await self.has_sent(confirmation.id):
             confirmation.refuse_lapsed()
@@ -335,7 +335,7 @@ async def _page_of_bus(request: Request, bus: str) -> BusPage:
 
 
 async def unit_page_of(request: Request, bus: str, unit: int) -> UnitPage:
-    """Return the request with its unit. Raises Problem 404, and 503 for a press that was delayed."""
+    """Return the request with its unit. Raise Problem 404, and 503 for a press that was delayed."""
     refuse_late(request)
     return UnitPage(request, bus, unit)
 

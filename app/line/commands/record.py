@@ -41,7 +41,7 @@ CommandOrigin = Literal["api", "batch edit", "change tray", "page", "restore", "
 
 @dataclass(frozen=True, slots=True)
 class CommandRequest:
-    """One command as a user or program requested it. ``deadline``: the last moment at which a frame that
+    """A command as a user or program requested it. ``deadline``: the last moment at which a frame that
     writes may leave."""
 
     id: str
@@ -171,14 +171,14 @@ class CommandRecord:
         return CommandKey(key, kept, None if kept is not None else stored)
 
     def result_of(self, stored: StoredCommand, key: str, bus: str, action: Action) -> Result:
-        """Return the result of a stored command. Raises Problem 422 if it was not this action."""
+        """Return the result of a stored command. Raise Problem 422 if it was not this action."""
         ring = self._events.keys.ring
         same = ring.confirms_by_any(stored.digest, "command", *_digested(bus, action))
         refuse_other(key, same=same)
         return stored.result
 
     async def intend(self, request: CommandRequest, live: BusLive) -> Intent:
-        """Store a command before it is sent. Raises StoreError, after which nothing may be sent."""
+        """Store a command before it is sent. Raise StoreError, after which nothing may be sent."""
         kind = kind_of_command(request.action)
         words, by_unit = kind.wording(request.action, live), dict(kind.part_wordings(request.action, live))
         group = _entry(request, request.action.only_unit, words)
@@ -279,7 +279,7 @@ _INSERT = "INSERT INTO idempotency (sender, key, requested_at, command) VALUES (
 
 
 def begin_key(store: StoreConnection, request: CommandRequest, ring: KeyRing, now: UnixTime) -> None:
-    """Store that the result of a command with a key is open. Raises ConstraintError for a key that its sender
+    """Store that the result of a command with a key is open. Raise ConstraintError for a key that its sender
     has used."""
     if request.key is None:
         return

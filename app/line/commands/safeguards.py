@@ -113,14 +113,14 @@ class Safeguards:
         return None if block is None else Message.of("block_by", reason=block.reason, who=block.set_by)
 
     async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
-        """Replace the limits of a unit. Raises Problem 403."""
+        """Replace the limits of a unit. Raise Problem 403."""
         SET_LIMITS.check(person)
         before = self.limits(unit)
         await self.restrictions.put_limits(unit, limits, person.name, unix_now())
         await self._record(SET_LIMITS, person, before.message, limits.message, unit)
 
     async def block(self, person: Person, unit: int, reason: str) -> None:
-        """Refuse every write to a unit from now on. Raises Problem 403."""
+        """Refuse every write to a unit from now on. Raise Problem 403."""
         BLOCK.check(person)
         before = self.block_of(unit)
         await self.restrictions.put_block(unit, CommandBlock(reason, person.name, unix_now()))
@@ -128,7 +128,7 @@ class Safeguards:
         await self._record(BLOCK, person, before.reason if before else None, reason, unit)
 
     async def lift(self, person: Person, unit: int) -> None:
-        """Lift the block of a unit, if it has one. Raises Problem 403."""
+        """Lift the block of a unit, if it has one. Raise Problem 403."""
         UNBLOCK.check(person)
         before = self.block_of(unit)
         if before is None:
@@ -139,7 +139,7 @@ class Safeguards:
 
     async def set_read_only(self, person: Person, reason: str, minutes: int | None) -> None:
         """Refuse every write that could do more than slow a unit, for so many minutes, or until it is ended.
-        Raises Problem 403."""
+        Raise Problem 403."""
         SET_READ_ONLY.check(person)
         before, now = self.read_only(), unix_now()
         until = None if minutes is None else now + 60 * minutes
@@ -149,7 +149,7 @@ class Safeguards:
         await self._record(SET_READ_ONLY, person, before.reason if before else None, new)
 
     async def end_read_only(self, person: Person) -> None:
-        """Accept commands again. Does nothing on a bus that is not read-only. Raises Problem 403."""
+        """Accept commands again. Do nothing on a bus that is not read-only. Raise Problem 403."""
         END_READ_ONLY.check(person)
         before = self.read_only()
         if before is None:
@@ -194,7 +194,7 @@ class Safeguards:
         await self._rights.check(person)
 
     async def take(self, person: Person) -> None:
-        """Take control, if it is free. Raises Problem 403 and 409."""
+        """Take control, if it is free. Raise Problem 403 and 409."""
         await self._refuse_without_right(TAKE_CONTROL, person)
         before = self.holding()
         self.control.take(person.account, monotonic_now(), unix_now())
@@ -202,7 +202,7 @@ class Safeguards:
             await self._control_changed(TAKE_CONTROL, person, None, person.account)
 
     async def request(self, person: Person) -> None:
-        """Request control from its holder, on every page that the holder has open. Raises Problem 403, 409,
+        """Request control from its holder, on every page that the holder has open. Raise Problem 403, 409,
         and 429 after too many requests of this account."""
         await self._refuse_without_right(REQUEST_CONTROL, person)
         now, bucket = monotonic_now(), self._requests[person.account]
@@ -221,7 +221,7 @@ class Safeguards:
 
     async def grant(self, person: Person, shown: str | None = None) -> None:
         """Hand control over to the account that has requested it. ``shown``: whose request the person saw;
-        None: whichever is open. Raises Problem 403, 409, and 422 if that account may no longer command the
+        None: whichever is open. Raise Problem 403, 409, and 422 if that account may no longer command the
         bus."""
         await self._refuse_without_right(GRANT_CONTROL, person)
         to = self.control.requester(person.account, monotonic_now())
@@ -235,7 +235,7 @@ class Safeguards:
 
     async def end_request(self, person: Person, shown: str | None = None) -> None:
         """Decline the open request as the holder, or withdraw it as its account; ``shown`` as in
-        :meth:`grant`. Raises Problem 403, 409."""
+        :meth:`grant`. Raise Problem 403, 409."""
         await self._refuse_without_right(END_CONTROL_REQUEST, person)
         self._refuse_other_request(shown)
         request = self.control.end_request(person.account, monotonic_now())
@@ -249,7 +249,7 @@ class Safeguards:
             raise controlled(Message("control_not_requested"))
 
     async def hand_over(self, person: Person, to: str) -> None:
-        """Hand control over; an admin may do so without holding it. Raises Problem 403, 409, and 422 for a
+        """Hand control over; an admin may do so without holding it. Raise Problem 403, 409, and 422 for a
         name without an account that could use it, since that would block the line until control lapses."""
         HAND_OVER_CONTROL.check(person)
         to = await self._who_may_hold(person, to)
@@ -268,7 +268,7 @@ class Safeguards:
         return account
 
     async def release(self, person: Person) -> None:
-        """Release control. Raises Problem 403 and 409."""
+        """Release control. Raise Problem 403 and 409."""
         RELEASE_CONTROL.check(person)
         self.control.release(person.account, monotonic_now())
         await self._control_changed(RELEASE_CONTROL, person, person.account, None)

@@ -125,7 +125,7 @@ class CommandService:
 
         ``deadline``: the request's; without one the command may wait as long as its kind takes.
 
-        Raises Problem for a command that is not sent to the worker: 404 for a unit that is not configured,
+        Raise Problem for a command that is not sent to the worker: 404 for a unit that is not configured,
         403 ``forbidden`` for a person without the role of its kind, 403 ``rights_withdrawn`` when the account
         has lost a right that it had when the person was authenticated, 422 ``invalid``, 409 ``dangerous``,
         ``confirm_needed`` or ``controlled``, 423 ``blocked``, 503 ``not_sent`` if its deadline has passed. A
@@ -164,7 +164,7 @@ class CommandService:
 
     async def read_ranges(self, person: Person, action: Action, deadline: Deadline) -> None:
         """Read the bounds of the setpoints of ``action`` if they were never read, as :meth:`send` does.
-        Raises Problem 503 or 504 if they cannot be read in time."""
+        Raise Problem 503 or 504 if they cannot be read in time."""
         for _ in range(_RANGE_PASSES):
             missing = self._unread(action)
             if not missing:
@@ -187,7 +187,7 @@ class CommandService:
     async def read(
         self, person: Person, unit: int, numbers: Sequence[int], deadline: Deadline
     ) -> dict[int, int | None]:
-        """Return the raw value of each parameter, read now, None if the unit does not have it. Raises Problem
+        """Return the raw value of each parameter, read now, None if the unit does not have it. Raise Problem
         503 or 504 if one cannot be read in time."""
         action = ReadParameters(unit=unit, numbers=list(numbers))
         result = await self.send(person, action, deadline=deadline)
@@ -203,7 +203,7 @@ class CommandService:
         self, person: Person, unit: int, text: str, deadline: Deadline
     ) -> tuple[int, UnitScale]:
         """Convert a typed speed or ratio, or percent of the unit's present setpoint, to the integer on the
-        wire. Return it with its scale. Raises CallerError for text that is no number."""
+        wire. Return it with its scale. Raise CallerError for text that is no number."""
         live = self._live.units[unit]
         known = await self._known(person, live, (DECIMALS, FOLLOWER_MODE), deadline)
         decimals = known[DECIMALS]
@@ -221,7 +221,7 @@ class CommandService:
     async def convert_parameter(
         self, person: Person, unit: int, number: int, text: str, deadline: Deadline
     ) -> tuple[int, UnitScale]:
-        """Convert a typed value of a parameter to the integer on the wire. Return it with its scale. Raises
+        """Convert a typed value of a parameter to the integer on the wire. Return it with its scale. Raise
         CallerError for text that is no number."""
         live, parameter = self._live.units[unit], PARAMETERS[number]
         known = await self._known(person, live, _CONVERTED_WITH.get(parameter.scale, ()), deadline)
@@ -239,7 +239,7 @@ class CommandService:
 
     async def check_for_later(self, person: Person, action: Action, deadline: Deadline) -> None:
         """Check a command that is gathered now and sent later: its role, ranges and choices. Bounds that
-        cannot be read from a unit now are not judged. Raises Problem as :meth:`send` does."""
+        cannot be read from a unit now are not judged. Raise Problem as :meth:`send` does."""
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
         refuse_without(kind_of_command(action).role, person)
@@ -251,7 +251,7 @@ class CommandService:
         check(action, anytime)
 
     def check(self, person: Person, action: Action, *, confirm: bool = False) -> None:
-        """Check a command as :meth:`send` does, for a review or a page, without prolonging control. Raises
+        """Check a command as :meth:`send` does, for a review or a page, without prolonging control. Raise
         the same Problems."""
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)

@@ -31,7 +31,7 @@ def is_trace_line(line: str) -> bool:
 
 
 def parse_trace_line(line: str) -> Frame:
-    """Parse a line. Raises CallerError for anything that :func:`trace_line` does not write."""
+    """Parse a line. Raise CallerError for anything that :func:`trace_line` does not write."""
     try:
         time, direction, data, meaning = line.rstrip("\r\n").split("\t")
         if direction not in _DIRECTIONS:

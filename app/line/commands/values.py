@@ -53,7 +53,7 @@ def setpoint_message(raw: int | None, live: UnitLive) -> str | Message:
 
 
 def raw_of_percent(text: str, present: int | None) -> int:
-    """Convert ``105 %`` or ``+5 %`` of a unit's present raw setpoint, rounded half up. Raises CallerError."""
+    """Convert ``105 %`` or ``+5 %`` of a unit's present raw setpoint, rounded half up. Raise CallerError."""
     found = _PERCENT.fullmatch(text.strip())
     sign, size = (found[1], Decimal(found[2].replace(",", "."))) if found else ("", Decimal(0))
     percent = {"": size, "+": 100 + size}.get(sign, 100 - size)
@@ -169,7 +169,7 @@ def scale_text(scale: UnitScale) -> str:
 
 
 def parse_scale(text: object) -> UnitScale:
-    """Parse the scale in the form of a review. Raises Problem 422 for any text that :func:`scale_text` does
+    """Parse the scale in the form of a review. Raise Problem 422 for any text that :func:`scale_text` does
     not write."""
     if not isinstance(text, str) or _TEXT.fullmatch(text) is None:
         raise Problem(422, "invalid", Message("not_what_was_reviewed"))

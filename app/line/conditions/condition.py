@@ -250,7 +250,7 @@ class Condition(Generic[Predicate]):
 
     On the ladder, ``broken`` states when its rung is broken, if that is more than ``holds``; ``names``: what
     its text names; ``status``: the bit whose changes are known, also from the history; ``since``: the bits
-    that make it begin, its own by default. Raise ValueError for a row without a text.
+    that make it begin, its own by default. Raises ValueError for a row without a text.
     """
 
     code: str

@@ -211,7 +211,7 @@ class Refused(dict[Message, int]):
 
 @dataclass(eq=False, repr=False)
 class Ingest:
-    """One connection of a worker. ``quota`` and ``coverage`` belong to the bus, over all its connections."""
+    """A connection of a worker. ``quota`` and ``coverage`` belong to the bus, over all its connections."""
 
     _hello: Hello
     _received: IngestPosition

@@ -70,7 +70,7 @@ HistoryOf = Annotated[History, service(History)]
 
 def moment(text: str, name: str) -> int:
     """Parse an ISO 8601 time with zone as µs since the epoch. A ``+`` that was not escaped, and so arrives as
-    a blank, is understood. Raises Problem 422."""
+    a blank, is understood. Raise Problem 422."""
     try:
         at = datetime.fromisoformat(_PLUS_LOST.sub(r"\1+\2", text.strip()))
     except ValueError:
@@ -107,7 +107,7 @@ PointsOf = Annotated[int, Depends(wanted_points)]
 
 
 def series_query(history: History, bus: str, unit: int, value: str, span: Span, most: int) -> SeriesQuery:
-    """Return the query of one value of one unit. Raises Problem 404 for an unknown bus or unit, 422 for an
+    """Return the query of one value of one unit. Raise Problem 404 for an unknown bus or unit, 422 for an
     unknown value."""
     settings = history.buses.get(bus)
     if settings is None:
@@ -122,7 +122,7 @@ def series_query(history: History, bus: str, unit: int, value: str, span: Span, 
 
 
 def named_series_query(history: History, name: str, span: Span, most: int) -> SeriesQuery:
-    """Return the query of one value named ``bus/unit/value``. Raises Problem."""
+    """Return the query of one value named ``bus/unit/value``. Raise Problem."""
     bus, _, rest = name.partition("/")
     unit, _, value = rest.partition("/")
     number = parse_integer(unit)
@@ -132,7 +132,7 @@ def named_series_query(history: History, name: str, span: Span, most: int) -> Se
 
 
 def series_queries(history: History, names: list[str], span: Span, most: int) -> list[SeriesQuery]:
-    """Return the queries of several values, each named ``bus/unit/value``. Raises Problem."""
+    """Return the queries of several values, each named ``bus/unit/value``. Raise Problem."""
     if not 1 <= len(names) <= MAX_SERIES:
         raise Problem(422, "invalid", Message.of("series_count", most=MAX_SERIES, count=len(names)))
     return [named_series_query(history, name, span, most) for name in names]
@@ -179,7 +179,7 @@ class HistoryMarkText(TypedDict, total=False):
 
 
 class HistoryMark(TypedDict):
-    """One event to be drawn into a chart."""
+    """An event to be drawn into a chart."""
 
     t: Annotated[
         Instant | float, Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
@@ -250,7 +250,7 @@ async def marks_of(
     events: EventLog, start: UnixTime, end: UnixTime, units: Sequence[str] | None
 ) -> tuple[list[Mark], bool]:
     """Return the marks of a span, oldest first, and whether there were more events. ``units``: only events of
-    the site and of these, each ``bus/unit``; empty: of all. Raises StoreError."""
+    the site and of these, each ``bus/unit``; empty: of all. Raise StoreError."""
     found, after = await events.page(Filter(since=start, until=end), MAX_MARKS)
     marks = [Mark(event["time"], None, event) for event in found if _explains(event, units)]
     for code in LATE:

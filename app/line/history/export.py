@@ -65,7 +65,7 @@ async def export_response(
     layout: Layout = "readings",
 ) -> StreamingResponse:
     """Stream an export, so that a year takes no more memory than a day. ``form`` and ``layout`` are those of
-    CSV. Raises StoreError or Problem before it begins."""
+    CSV. Raise StoreError or Problem before it begins."""
     if file == "parquet" and not await _parquet_is_usable():
         raise Problem(501, "no_parquet", Message("no_parquet"))
     fineness = await _fineness(history, queries, resolution)

@@ -69,7 +69,7 @@ class TrendViews:
         self._database = database
 
     async def seen_by(self, person: Person) -> list[TrendView]:
-        """Return the views of a person, then those that others share, by name. Raises StoreError."""
+        """Return the views of a person, then those that others share, by name. Raise StoreError."""
 
         def read(connection: StoreConnection) -> list[TrendView]:
             query = f"SELECT {_COLUMNS} FROM trend_view WHERE sender = ? OR shared = 1"
@@ -79,7 +79,7 @@ class TrendViews:
         return sorted(found, key=lambda view: (view.sender != person.sender, view.name.casefold()))
 
     async def save(self, person: Person, events: EventLog, name: str, query: str, *, shared: bool) -> str:
-        """Save a view, and return its address. Raises Problem 403 if it may not be shared, 409 and 422."""
+        """Save a view, and return its address. Raise Problem 403 if it may not be shared, 409 and 422."""
         if shared:
             SHARE.check(person)
         name, address = name.strip(), clean(query)
@@ -99,7 +99,7 @@ class TrendViews:
         return address
 
     async def delete(self, person: Person, events: EventLog, number: int) -> None:
-        """Delete a view. Raises Problem 404, and 403 for the shared one of another person."""
+        """Delete a view. Raise Problem 404, and 403 for the shared one of another person."""
 
         def find(connection: StoreConnection) -> TrendView | None:
             row = connection.execute(f"SELECT {_COLUMNS} FROM trend_view WHERE id = ?", (number,)).fetchone()
@@ -121,7 +121,7 @@ class TrendViews:
 
 
 def clean(query: str) -> str:
-    """Return the members of an address of the page that are saved. Raises Problem 422 without any."""
+    """Return the members of an address of the page that are saved. Raise Problem 422 without any."""
     if len(query) <= MAX_QUERY:
         members = [(name, value) for name, value in parse_qsl(query) if name in _MEMBERS]
         address = urlencode(members)

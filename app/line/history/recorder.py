@@ -210,7 +210,7 @@ _HELD: dict[StoredTier, Message] = {
 
 
 def set_aside(database: Database, block: BlockKey, on_damage: FoundDamage) -> None:
-    """Move a block aside if it is damaged, and report it. Raises StoreError."""
+    """Move a block aside if it is damaged, and report it. Raise StoreError."""
 
     def move(connection: tables.StoreConnection) -> str | None:
         is_moved = tables.move_damaged(connection, block, micros(unix_now()))
@@ -345,7 +345,7 @@ class Recorder:
         self._tail.interrupt()
 
     def commit(self, deliveries: Sequence[Delivery]) -> None:
-        """Write deliveries to the disk, then into the tail. Raises StoreError if nothing was stored."""
+        """Write deliveries to the disk, then into the tail. Raise StoreError if nothing was stored."""
 
         def write(connection: tables.StoreConnection) -> Accepted:
             accepted = self._intake.accept(connection, deliveries)
@@ -402,7 +402,7 @@ RawBlock = tuple[int, int, Sequence[PlainRun]]
 
 
 def raw_blocks(connection: StoreConnection, units: Iterable[int], minute: int) -> dict[int, RawBlock]:
-    """Return the block of each unit that contains a minute, of those that have one. Raises DamagedBlock."""
+    """Return the block of each unit that contains a minute, of those that have one. Raise DamagedBlock."""
     rows = connection.execute(
         "SELECT unit, start, span, data FROM raw"
         " WHERE unit IN (SELECT value FROM json_each(?)) AND start IN (?, ?) ORDER BY start",
@@ -471,7 +471,7 @@ def next_to_fold(folding: Iterable[Minute], tail: Tail) -> list[Minute]:
 
 
 def fold_minutes(connection: tables.StoreConnection, tail: Tail, keys: Sequence[Minute]) -> None:
-    """Fold minutes of the tail into their blocks, except those that are too old. Raises DamagedBlock."""
+    """Fold minutes of the tail into their blocks, except those that are too old. Raise DamagedBlock."""
     given_up = tables.raw_from(connection)
     of_minute: dict[int, dict[int, list[PlainRun]]] = {}
     for unit, minute in keys:
@@ -482,7 +482,7 @@ def fold_minutes(connection: tables.StoreConnection, tail: Tail, keys: Sequence[
 
 
 def fold(connection: tables.StoreConnection, minute: int, by_unit: _Runs) -> None:
-    """Fold one minute of some units into their blocks. Raises DamagedBlock."""
+    """Fold one minute of some units into their blocks. Raise DamagedBlock."""
     before = raw_blocks(connection, by_unit, minute)
     blocks: dict[int, RawBlock] = {}
     for unit, runs in by_unit.items():
@@ -500,7 +500,7 @@ def fold(connection: tables.StoreConnection, minute: int, by_unit: _Runs) -> Non
 
 
 def compact(connection: tables.StoreConnection, unit: int, hour: int) -> None:
-    """Pack the minutes of a unit and hour into one smaller block, with its rollups. Raises DamagedBlock."""
+    """Pack the minutes of a unit and hour into one smaller block, with its rollups. Raise DamagedBlock."""
     stored = tables.raw_columns(connection, unit, hour, hour + HOUR)
     table = list(zip(*merge_plain((), zip(*stored, strict=True)), strict=True))
     if table:

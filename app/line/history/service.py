@@ -84,7 +84,7 @@ class History:
         return self._writer.status
 
     async def query(self, queries: Sequence[SeriesQuery]) -> list[QueryResult]:
-        """Read the series of each query. Raises StoreError when the store cannot be read."""
+        """Read the series of each query. Raise StoreError when the store cannot be read."""
         found = await self.read(lambda c, tail: [run_query(c, tail, one) for one in queries])
         for each in found:
             self.report(each.damaged)
@@ -112,7 +112,7 @@ class History:
 
     async def read(self, work: Callable[[tables.StoreConnection, Tail], T], *, costly: bool = False) -> T:
         """Run ``work`` with a read-only connection and the tail, in a thread; ``costly`` work has threads of
-        its own. Raises StoreError."""
+        its own. Raise StoreError."""
         tail, database = self._writer.tail, self._writer.database
         try:
             read = database.read_costly if costly else database.read
@@ -134,7 +134,7 @@ StatusSpan = tuple[UnixTime, UnixTime, int]
 async def status_words(
     history: History, bus: str, unit: int, start: UnixTime, end: UnixTime
 ) -> list[StatusSpan]:
-    """Return spans (Unix time, seconds) with their bits, ST2 * 256 + ST1, in order. Raises StoreError."""
+    """Return spans (Unix time, seconds) with their bits, ST2 * 256 + ST1, in order. Raise StoreError."""
     wanted = micros(start), micros(end)
 
     def read(connection: tables.StoreConnection, tail: Tail) -> list[Interval]:

@@ -54,7 +54,7 @@ class DamagedBlock(ValueError):
 
 
 def intact(block: BlockKey, unpack: Callable[[], T]) -> T:
-    """Return the result of ``unpack``. Raises DamagedBlock if that raises ValueError."""
+    """Return the result of ``unpack``. Raise DamagedBlock if that raises ValueError."""
     try:
         return unpack()
     except ValueError as error:
@@ -151,7 +151,7 @@ def extent(connection: StoreConnection) -> tuple[int, int] | None:
 
 
 def rollups_of(connection: StoreConnection, tier: RollupTier, unit: int, start: int) -> list[Rollup]:
-    """Read one row of a tier; empty without one. Raises DamagedBlock."""
+    """Read one row of a tier; empty without one. Raise DamagedBlock."""
     query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
     row = connection.execute(query, (unit, start)).fetchone()
     return [] if row is None else intact(BlockKey(tier, unit, start), lambda: unpack_rollups(row[0], start))
@@ -224,7 +224,7 @@ def raw_row(
 
 
 def raw_columns(connection: StoreConnection, unit: int, start: int, end: int) -> list[list[int]]:
-    """Read the columns of all runs of the blocks that begin within a span, µs. Raises DamagedBlock."""
+    """Read the columns of all runs of the blocks that begin within a span, µs. Raise DamagedBlock."""
     rows = connection.execute(
         "SELECT start, data FROM raw WHERE unit = ? AND start >= ? AND start < ? ORDER BY start",
         (unit, start, end),
@@ -240,7 +240,7 @@ def raw_columns(connection: StoreConnection, unit: int, start: int, end: int) ->
 
 
 def block_runs(unit: int, start: int, data: bytes) -> list[Run]:
-    """Unpack the runs of a block. Raises DamagedBlock."""
+    """Unpack the runs of a block. Raise DamagedBlock."""
     return intact(BlockKey("raw", unit, start), lambda: unpack_runs(data, start))
 
 
@@ -275,7 +275,7 @@ def oldest_packed(connection: StoreConnection) -> int | None:
 
 
 def newest_reading(connection: StoreConnection, unit: int) -> int | None:
-    """Return the time of the newest stored reading of a unit, µs. Raises DamagedBlock."""
+    """Return the time of the newest stored reading of a unit, µs. Raise DamagedBlock."""
     query = "SELECT start, data FROM raw WHERE unit = ? ORDER BY start DESC LIMIT 1"
     row = connection.execute(query, (unit,)).fetchone()
     return None if row is None else max((run.until for run in block_runs(unit, *row)), default=None)

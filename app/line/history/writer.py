@@ -357,7 +357,7 @@ class Writer:
                 self._open.database.close()
 
     def _open_store(self) -> None:
-        """Open the store and load its journal into the tail. Raises StoreError."""
+        """Open the store and load its journal into the tail. Raise StoreError."""
         aside = self._put_aside_if_torn()
         database = Database(self._path, MIGRATIONS)
         recorder = Recorder(database, self.tail, self._on_damage)

@@ -540,7 +540,7 @@ async def no_socket(request: Request, person: Viewer, failed: bool = False) -> N
     """Respond to a request that is no WebSocket handshake: a proxy has left out the upgrade, or a page
     without a socket asks whether the server responds at all. ``failed``: it does, and no socket opens.
 
-    Raises Problem 426, and 429 if sockets are refused for another reason.
+    Raise Problem 426, and 429 if sockets are refused for another reason.
     """
     hub, address = service_of(request, Hub), source_of(request.client.host if request.client else "")
     if not hub.admission.enter(person.account, address):

@@ -80,7 +80,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class BusOnLine:
-    """One bus and its groups in floor order."""
+    """A bus and its groups in floor order."""
 
     name: str
     port: str

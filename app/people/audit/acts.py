@@ -35,7 +35,7 @@ class ActLimit:
     )
 
     def count(self, account: str, now: Monotonic) -> None:
-        """Count one more act. Raises Problem 429 with the time to wait."""
+        """Count one more act. Raise Problem 429 with the time to wait."""
         performed = self._performed[account]
         if performed.take(now):
             return

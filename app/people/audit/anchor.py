@@ -134,7 +134,7 @@ def _decoded(text: bytes) -> _AnchorLine | None:
 
 
 def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
-    """Read an anchor. Raises AnchorError, and StoreError for a line that was not written with the key."""
+    """Read an anchor. Raise AnchorError, and StoreError for a line that was not written with the key."""
     with _in_words(path), path.open("rb") as file:
         anchors = read_anchors(file, ring)
     if anchors.forged is not None:
@@ -144,7 +144,7 @@ def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
 
 def newest_anchor(path: Path, ring: KeyRing) -> Head:
     """Return the last entry that a file names, number 0 if there is none; make the file readable by its user
-    alone. Raises AnchorError."""
+    alone. Raise AnchorError."""
     with suppress(OSError, StoreError):
         restrict(path)
     lines = (line for line in _newest_lines(path) if line.is_sealed(ring))
@@ -153,14 +153,14 @@ def newest_anchor(path: Path, ring: KeyRing) -> Head:
 
 
 def is_of_lost_key(path: Path, ring: KeyRing) -> bool:
-    """Return whether the newest line of a file was written with a key that is not in the ring. Raises
+    """Return whether the newest line of a file was written with a key that is not in the ring. Raise
     AnchorError."""
     newest = next(_newest_lines(path), None)
     return newest is not None and ring.rank(newest.key) is None
 
 
 def put_aside(path: Path) -> Path | None:
-    """Rename an anchor, which stays as evidence; return its new path, None without a file. Raises
+    """Rename an anchor, which stays as evidence; return its new path, None without a file. Raise
     AnchorError."""
     aside = path.with_name(f"{path.name}.until-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}")
     with _in_words(path), suppress(FileNotFoundError):
@@ -178,7 +178,7 @@ def _newest_lines(path: Path) -> Iterator[_AnchorLine]:
 
 
 def append_line(path: Path, line: bytes) -> None:
-    """Append a line to a file, which is made if necessary; it is on disk when this returns. Raises
+    """Append a line to a file, which is made if necessary; it is on disk when this returns. Raise
     AnchorError."""
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
     with _in_words(path), os.fdopen(os.open(path, flags, 0o600), "r+b", buffering=0) as file:
@@ -294,7 +294,7 @@ class Anchoring:
                 write_file(self._path, line)
 
     async def _in_thread(self, work: Callable[[], T], within_s: float) -> T:
-        """Run ``work`` once earlier work has ended, because a network file system may hang. Raises
+        """Run ``work`` once earlier work has ended, because a network file system may hang. Raise
         AnchorError after ``within_s``."""
         try:
             async with asyncio.timeout(within_s):

@@ -49,7 +49,7 @@ class EventMessage(BaseModel):
 
 
 class EventFrame(BaseModel):
-    """One frame that carried a command."""
+    """A frame that carried a command."""
 
     at: Annotated[Instant, Field(description="ISO 8601 in UTC, milliseconds.")]
     direction: Annotated[str, Field(description="out: a request, in: a response.")]
@@ -59,7 +59,7 @@ class EventFrame(BaseModel):
 
 
 class EventShown(BaseModel):
-    """One event; ``outcome`` of a command is null until it is known. ``count``: how often it happened.
+    """An event; ``outcome`` of a command is null until it is known. ``count``: how often it happened.
     ``unreadable``: its time (then null), frames or messages are not what the server wrote."""
 
     id: int

@@ -93,7 +93,7 @@ def months_due(oldest: UnixTime, now: UnixTime, keep: int, zone: ZoneInfo) -> li
 def write_file(folder: Path, month: Month, chunks: Iterable[Sequence[Entry]]) -> tuple[str, str]:
     """Write entries as the file of a month, and read it back; return its name and SHA-256. It replaces only a
     file with the same content: after a restore from a backup a month may have a second file. Nothing is left
-    of it after a failure. Raises EventArchiveError, OSError."""
+    of it after a failure. Raise EventArchiveError, OSError."""
     if not folder.is_dir():
         # It may belong to a disk that is not mounted: it is not made.
         raise EventArchiveError(Message.of("audit_archive_folder_missing", folder=str(folder)))
@@ -132,13 +132,13 @@ def _is_free_for(path: Path, digest: str) -> bool:
 
 
 def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file, in hex. Raises OSError."""
+    """Return the SHA-256 of a file, in hex. Raise OSError."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def entries_in(path: Path) -> Iterator[Entry]:
-    """Yield the entries of a file as the store had them, without ``part_of``. Raises EventArchiveError,
+    """Yield the entries of a file as the store had them, without ``part_of``. Raise EventArchiveError,
     OSError."""
     try:
         if not path.is_file():
@@ -170,7 +170,7 @@ class ArchiveProof:
 def prove_archive(
     cuts: Sequence[Cut], folder: Path | None, ring: KeyRing, anchors: Mapping[int, str]
 ) -> ArchiveProof:
-    """Verify the files of all cuts that are in a folder, each of which continues the one before. Raises
+    """Verify the files of all cuts that are in a folder, each of which continues the one before. Raise
     EventArchiveError for the first that is not as it was written, OSError for one that cannot be read."""
     entries, absent = 0, []
     start: Ends | None = None
@@ -334,7 +334,7 @@ def _before_unfinished(connection: StoreConnection, first: int, last: int) -> in
 
 def _verified(connection: StoreConnection, walk: Walk, due: _Due) -> Iterator[list[Entry]]:
     """Yield entries as they are stored, chunk by chunk, each with the change that it is a part of as
-    ``part_of``. Raises EventArchiveError if the log was altered: it then stays as evidence."""
+    ``part_of``. Raise EventArchiveError if the log was altered: it then stays as evidence."""
     query = (
         "SELECT e.*, p.change AS part_of FROM events e LEFT JOIN event_parts p ON p.event = e.id "
         "WHERE e.id >= ? AND e.id <= ? ORDER BY e.id LIMIT ?"

@@ -120,7 +120,7 @@ _KNOWN = {*TEXTS, NUMBER, TERM, LIST}
 
 
 class FrameRecord(msgspec.Struct):
-    """One frame that carried a command. ``at``: Unix time in seconds; ``data``: hexadecimal."""
+    """A frame that carried a command. ``at``: Unix time in seconds; ``data``: hexadecimal."""
 
     at: UnixTime
     direction: str

@@ -123,7 +123,7 @@ def _of_api(wanted: Filter, formats: Formats) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class EventRow:
-    """One row of the events page: an event, with the parts of a change of several units by address."""
+    """A row of the events page: an event, with the parts of a change of several units by address."""
 
     event: Event
     parts: list[Event] = field(default_factory=list)

@@ -32,13 +32,13 @@ class Keys:
 
     def knowing(self, key_id: str) -> KeyRing:
         """Return the ring, with the key of this id if the file has it: another process may have rotated the
-        keys. Raises KeyFileError if the file cannot be used any more."""
+        keys. Raise KeyFileError if the file cannot be used any more."""
         if key_id and self.ring.rank(key_id) is None and self.path is not None:
             self.ring = read_key_file(self.path, self._owners) or self.ring
         return self.ring
 
     def rotate(self) -> None:
-        """Make a new key, which seals new entries; the others verify the entries that they sealed. Raises
+        """Make a new key, which seals new entries; the others verify the entries that they sealed. Raise
         KeyFileError."""
         ring = self.ring.with_key(secrets.token_bytes(KEY_BYTES))
         if self.path is not None:
@@ -53,7 +53,7 @@ def passing_keys() -> Keys:
 
 def open_keys(paths: Sequence[Path], store: Path | None, heads: Ends) -> Keys:
     """Return the keys of the log in the file ``store``, which ends with ``heads``, from the first of the
-    files that exists. Without any, make the first that can be made. Raises KeyFileError."""
+    files that exists. Without any, make the first that can be made. Raise KeyFileError."""
     owners = owners_of(store)
     path = find_key_file(paths) or _made(paths, origin_of(heads))
     ring = read_key_file(path, owners)
@@ -107,7 +107,7 @@ class _Content(msgspec.Struct, omit_defaults=True):
 
 
 def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
-    """Return the keys; None without a file. Raises KeyFileError for a file that others could have read or
+    """Return the keys; None without a file. Raise KeyFileError for a file that others could have read or
     made, and for one without keys. ``owners``: the users to whom it may belong."""
     try:
         # A FIFO or a device would delay the start indefinitely.
@@ -124,7 +124,7 @@ def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
 
 def make_key_file(path: Path, origin: KeyOrigin) -> None:
     """Make the file with a first key, for a log that ends at ``origin``, unless another process has made it.
-    Raises KeyFileError."""
+    Raise KeyFileError."""
     content = _content_of(KeyRing((secrets.token_bytes(KEY_BYTES),), origin))
     try:
         with fresh_file(path, content) as fresh:
@@ -139,7 +139,7 @@ def make_key_file(path: Path, origin: KeyOrigin) -> None:
 
 
 def replace_key_file(path: Path, ring: KeyRing) -> None:
-    """Replace the file by one with these keys and the same owner. Raises KeyFileError."""
+    """Replace the file by one with these keys and the same owner. Raise KeyFileError."""
     try:
         owner = path.stat()
         with fresh_file(path, _content_of(ring)) as fresh:

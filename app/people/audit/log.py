@@ -449,7 +449,7 @@ class RepeatedEvents:
             await self.record_due()
 
     async def record_due(self, *, everything: bool = False) -> None:
-        """Record the counts of minutes that are over, or ``everything`` as the server ends. Raises StoreError
+        """Record the counts of minutes that are over, or ``everything`` as the server ends. Raise StoreError
         once each was tried."""
         failed: StoreError | None = None
         now = self._now()

@@ -61,12 +61,12 @@ class Accounts:
         return await self._database.read(find)
 
     async def add_user(self, name: str, role: Role, password: str, *, by: Person) -> None:
-        """Add a person who signs in by a password. Raises CallerError."""
+        """Add a person who signs in by a password. Raise CallerError."""
         async with self._performing(ADD_USER, by, name=name, role=term(role)):
             await self._add(User(name, role, False, "/", "", False, self._clock(), None), password)
 
     async def add_first_admin(self, name: str, password: str, *, address: str) -> None:
-        """Add the first user with a password, an admin who acts from ``address``. Raises Problem 409 if there
+        """Add the first user with a password, an admin who acts from ``address``. Raise Problem 409 if there
         is a user already, and CallerError for a name or password that is refused."""
         by = Person(name, Role.ADMIN, "session", address=address)
         async with self._performing(ADD_FIRST_ADMIN, by, name=name):
@@ -74,13 +74,13 @@ class Accounts:
             await self._add(user, password, is_first=True)
 
     async def add_panel(self, name: str, role: Role, pin: str, home: str, *, by: Person) -> None:
-        """Add a panel on the wall, which signs in by a PIN. Raises CallerError."""
+        """Add a panel on the wall, which signs in by a PIN. Raise CallerError."""
         async with self._performing(ADD_PANEL, by, name=name, role=term(role)):
             await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
 
     async def follow_provider(self, account: CompanyAccount, name: str, role: Role, *, address: str) -> User:
         """Return the user of a company account, with the role of its groups. It is added at the first
-        sign-in, with a name that no other user has; a disabled user is left as is. Raises CallerError."""
+        sign-in, with a name that no other user has; a disabled user is left as is. Raise CallerError."""
 
         def follow(connection: StoreConnection) -> tuple[User, Message | None]:
             there = store.user_of(connection, account)
@@ -100,7 +100,7 @@ class Accounts:
         return user
 
     async def set_role(self, name: str, role: Role, *, by: Person) -> None:
-        """Change the role of a user. Raises CallerError for an unknown user, for the last admin, for a panel
+        """Change the role of a user. Raise CallerError for an unknown user, for the last admin, for a panel
         above operator, and for the user of a company account, whose role follows the groups there."""
 
         def change(connection: StoreConnection) -> bool:
@@ -115,30 +115,30 @@ class Accounts:
             await self._change(name, change)
 
     async def set_disabled(self, name: str, disabled: bool, *, by: Person) -> None:
-        """Disable a user, or enable again. Raises CallerError for an unknown user and for the last admin."""
+        """Disable a user, or enable again. Raise CallerError for an unknown user and for the last admin."""
         async with self._performing(DISABLE_USER if disabled else ENABLE_USER, by, name=name):
             await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
 
     async def remove_user(self, name: str, *, by: Person) -> None:
-        """Remove a user. Raises CallerError for an unknown user and for the last admin."""
+        """Remove a user. Raise CallerError for an unknown user and for the last admin."""
         async with self._performing(REMOVE_USER, by, name=name):
             await self._change(name, lambda connection: store.remove_user(connection, name))
 
     async def set_password(self, name: str, password: str, *, by: Person) -> None:
-        """Set the password of a user, or the PIN of a panel. Every session of the user ends. Raises
+        """Set the password of a user, or the PIN of a panel. Every session of the user ends. Raise
         CallerError."""
         async with self._performing(SET_PASSWORD, by, name=name):
             await self._set_password(name, password)
 
     async def change_own_password(self, password: str, *, by: Person, keep: bytes) -> None:
         """Set the password of the user who requests it. The session with the hash ``keep`` stays, every other
-        one of the user ends. Raises CallerError."""
+        one of the user ends. Raise CallerError."""
         async with self._performing(CHANGE_OWN_PASSWORD, by, name=by.name):
             check_has_own_password(by)
             await self._set_password(by.name, password, keep)
 
     async def set_language(self, person: Person, language: str) -> None:
-        """Store the language that the user chose; empty: that of the browser. Raises Problem 403 for a
+        """Store the language that the user chose; empty: that of the browser. Raise Problem 403 for a
         program."""
         _check_is_user(person)
         await self._database.write(lambda connection: store.set_language(connection, person.name, language))
@@ -147,7 +147,7 @@ class Accounts:
         self, name: str, role: Role, *, bus: str = "", expires_days: int | None = None, by: Person
     ) -> str:
         """Create a token for a program, or with ``bus`` for the worker of that bus; without ``expires_days``
-        it holds until it is revoked. Returns the secret, which is stored nowhere. Raises CallerError."""
+        it holds until it is revoked. Return the secret, which is stored nowhere. Raise CallerError."""
         secret, now = rules.new_secret(), self._clock()
         act, of_bus = (CREATE_WORKER_TOKEN, {"bus": bus}) if bus else (CREATE_TOKEN, {})
         async with self._performing(act, by, name=name, role=term(role), **of_bus):
@@ -164,7 +164,7 @@ class Accounts:
         return secret
 
     async def revoke_token(self, name: str, *, by: Person) -> None:
-        """Revoke a token. Raises CallerError for an unknown one."""
+        """Revoke a token. Raise CallerError for an unknown one."""
         async with self._performing(REVOKE_TOKEN, by, name=name):
             if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
                 raise CallerError(Message.of("no_such_token", name=name[:80]))

@@ -138,7 +138,7 @@ class Identify:
         return partial(run_while_allowed, run, withdrawal, is_socket=is_socket)
 
     async def _identified(self, scope: Scope) -> Caller | None:
-        """Return the caller; None if the request names none. Raises Problem for a request that breaks the
+        """Return the caller; None if the request names none. Raise Problem for a request that breaks the
         rules of every request, or whose caller cannot be known."""
         problem = request_problem(scope, self._allowed_hosts)
         if problem is not None:
@@ -356,7 +356,7 @@ class Identity:
         )
 
     async def by_token(self, bearer: str) -> Caller | None:
-        """Return the account of a bearer token; None for an unknown one. Raises ExpiredTokenError."""
+        """Return the account of a bearer token; None for an unknown one. Raise ExpiredTokenError."""
         for bus, own in self._worker_tokens.items():
             if hmac.compare_digest(bearer.encode(), own.encode()):
                 return Caller("worker", Role.WORKER, "worker", bus=bus)

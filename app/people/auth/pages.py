@@ -521,7 +521,7 @@ async def revoke_token(by: Annotated[Person, REVOKE_TOKEN.permitted], page: User
 
 
 def _days(typed: str) -> int | None:
-    """Return the typed number of days; None for an empty text. Raises CallerError."""
+    """Return the typed number of days; None for an empty text. Raise CallerError."""
     text = typed.strip()
     if not text:
         return None

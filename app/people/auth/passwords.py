@@ -228,6 +228,6 @@ def _is_hash_of(stored: str, secret: str) -> bool:
 
 
 def is_outdated(stored: str) -> bool:
-    """Return whether a hash has other parameters than a new one. Raises InvalidHashError for an invalid
+    """Return whether a hash has other parameters than a new one. Raise InvalidHashError for an invalid
     hash."""
     return _hasher.check_needs_rehash(stored)

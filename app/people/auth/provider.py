@@ -108,7 +108,7 @@ def verified_claims(
     token: str, keys: KeySet, *, issuer: str, client_id: str, nonce: str, now: UnixTime
 ) -> Claims:
     """Return the claims of an ID token of this issuer, for this client, for the attempt with this nonce
-    (OpenID Connect Core, 3.1.3.7). Raises InvalidTokenError."""
+    (OpenID Connect Core, 3.1.3.7). Raise InvalidTokenError."""
     options = {"iss": {"value": issuer}, "aud": {"value": client_id}, "sub": {"essential": True}}
     try:
         signed = jwt.decode(token, keys, registry=_SIGNED)
@@ -193,7 +193,7 @@ class Provider:
         return issuer == self.settings.issuer
 
     async def claims(self, code: str, attempt: LoginAttempt, callback: str) -> Claims:
-        """Redeem a code for an ID token, and verify it. Raises NotAdmittedError."""
+        """Redeem a code for an ID token, and verify it. Raise NotAdmittedError."""
         if self._metadata is None:
             raise NotAdmittedError("away")
         try:
@@ -228,7 +228,7 @@ class Provider:
         )
 
     async def _redeem(self, metadata: Metadata, code: str, verifier: str, callback: str) -> str:
-        """Return the ID token for a code. Raises NotAdmittedError for a code that gives none, as a made-up
+        """Return the ID token for a code. Raise NotAdmittedError for a code that gives none, as a made-up
         one: that is no fault of the provider, and must not close it to all others."""
         credentials = (self.settings.client_id, read_secret_text(self.settings.client_secret_file))
         # RFC 6749, 2.3.1 has both encoded in the header, which Authlib leaves out.
@@ -277,7 +277,7 @@ class Provider:
                 await self._read_keys(metadata)
 
     async def _read(self, url: str, kind: type[T]) -> T:
-        """Read a document of the provider. Raises ProviderError."""
+        """Read a document of the provider. Raise ProviderError."""
         with _reading(url):
             response = await self._open_client().request("GET", url, withhold_token=True)
         if response.status_code != 200:
@@ -287,7 +287,7 @@ class Provider:
 
     def _open_client(self) -> AsyncOAuth2Client:
         """Return a client that leads nowhere else: no redirects, and no proxy or password of the environment.
-        Raises ProviderError if the authority cannot be read."""
+        Raise ProviderError if the authority cannot be read."""
         if self._client is None:
             path = self.settings.ca_file
             try:

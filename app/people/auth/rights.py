@@ -108,14 +108,14 @@ class Rights:
         self._changed = asyncio.Event()
 
     async def apply(self) -> None:
-        """Apply an account's change or a session's end that this process has just stored. Raises
+        """Apply an account's change or a session's end that this process has just stored. Raise
         StoreError."""
         # This goes first: the code that acts on a withdrawal may wait for the disk.
         self.announce()
         await self.refresh()
 
     async def refresh(self) -> None:
-        """Read the store now. Raises StoreError."""
+        """Read the store now. Raise StoreError."""
         began = self.monotonic()
         standings, tokens = await self._database.read(self._read)
         if began < self._read_at:
@@ -216,7 +216,7 @@ class Present:
 
 
 def read_present(connection: StoreConnection) -> Present | None:
-    """Read the rights in a store of any version; None from one without users. Raises StoreError for one that
+    """Read the rights in a store of any version; None from one without users. Raise StoreError for one that
     cannot be read."""
     tokens = frozenset(hash_ for (hash_,) in connection.execute("SELECT hash FROM tokens"))
     users = {

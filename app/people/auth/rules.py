@@ -91,7 +91,7 @@ def check_token_bus(role: Role, bus: str, buses: Collection[str]) -> None:
 
 
 def token_expiry(now: UnixTime, days: int | None) -> UnixTime | None:
-    """Return when a token made at ``now`` expires; None if it does not. Raises CallerError."""
+    """Return when a token made at ``now`` expires; None if it does not. Raise CallerError."""
     if days is None:
         return None
     if not 1 <= days <= MAX_TOKEN_DAYS:

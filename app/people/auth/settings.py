@@ -34,7 +34,7 @@ class Sessions(StrictModel):
 
 
 def _issuer(url: str) -> str:
-    """Return the URL of a provider. Raises ValueError if it identifies none, or is reached in clear."""
+    """Return the URL of a provider. Raise ValueError if it identifies none, or is reached in clear."""
     parts = urlsplit(url)
     if parts.query or parts.fragment:
         raise url_refusal(Message("setting_issuer"))

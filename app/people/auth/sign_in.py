@@ -219,7 +219,7 @@ class SignIn:
     async def sign_in(
         self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
     ) -> SignedIn:
-        """Begin a session. ``device``: the cookie of a browser that has signed in before. Raises
+        """Begin a session. ``device``: the cookie of a browser that has signed in before. Raise
         WrongSecretError, after which `note_refusal` is to be called; Problem 429 with the time to wait after
         too many, 403 for a panel that has more rights than a panel may have."""
         user = await self.identify(name, secret, address, panel=panel, device=device)
@@ -233,7 +233,7 @@ class SignIn:
         self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
     ) -> User:
         """Return the user whose password or PIN it is, who signs in, or signs at the page of another user.
-        Raises WrongSecretError, after which `note_refusal` is to be called; Problem 429 after too many."""
+        Raise WrongSecretError, after which `note_refusal` is to be called; Problem 429 after too many."""
         if not name or not secret:
             # No user has an empty name or secret: it is not checked, costs nothing, and is no event.
             raise Problem(401, "unauthorized", _WRONG[panel])
@@ -248,14 +248,14 @@ class SignIn:
         return found is not None and found[0].company_account is not None
 
     async def check_present(self, name: str, secret: str, address: str, device: str = "") -> None:
-        """Check the present password before it is changed, with the limits of a sign-in. Raises CallerError
+        """Check the present password before it is changed, with the limits of a sign-in. Raise CallerError
         for a wrong one, Problem 429 after too many."""
         if await self._checked(name, secret, address, device, panel=False) is None:
             await count_refusal(self._events, "user", Message("event_password_change_refused"), name, address)
             raise CallerError(Message("present_password_wrong"))
 
     async def sign_out(self, cookie: str, person: Person) -> None:
-        """End the session of a cookie, which belongs to this person. Raises Problem 403."""
+        """End the session of a cookie, which belongs to this person. Raise Problem 403."""
         LOG_OUT.check(person)
         await self.end(rules.secret_hash(cookie))
         performed = LOG_OUT.by(person)
@@ -278,7 +278,7 @@ class SignIn:
         return rules.lifetime(self.sessions, panel=user.panel)
 
     async def _checked(self, name: str, secret: str, address: str, device: str, panel: bool) -> User | None:
-        """Return the user whose secret it is, within the limits; None for a wrong one. Raises Problem 429."""
+        """Return the user whose secret it is, within the limits; None for a wrong one. Raise Problem 429."""
         attempt = await self._attempt(name, address, device, panel)
         self._refuse_too_soon(attempt)
         try:
@@ -419,7 +419,7 @@ class FirstAdmin:
         return bool(self.code) and await self._sign_in.has_no_users()
 
     async def create(self, code: str, name: str, password: str, again: str, address: str) -> None:
-        """Create the admin, after which the code is spent. Raises Problem 409 if there is a user, 429 after
+        """Create the admin, after which the code is spent. Raise Problem 409 if there is a user, 429 after
         too many wrong codes, 401 for a wrong one, and CallerError for a name or a password that is
         refused."""
         if not await self.is_open():
@@ -437,7 +437,7 @@ class FirstAdmin:
 
     def _check(self, code: str, address: str) -> None:
         """Check the code, with the limits of sign-ins of one name from networks where no one has signed in
-        yet. Raises Problem 401 and 429."""
+        yet. Raise Problem 401 and 429."""
         attempt, now = Attempt("", source_of(address)), self._monotonic()
         wait_s = self._throttle.wait_s(attempt, now)
         if wait_s > 0:

@@ -83,7 +83,7 @@ class SingleSignOn:
         return None if self.provider is None else self.provider.fault
 
     async def start(self) -> None:
-        """Load the package that speaks OpenID Connect, in another thread. Raises LinesideError if it is
+        """Load the package that speaks OpenID Connect, in another thread. Raise LinesideError if it is
         missing."""
         if self.settings is not None:
             require_package()
@@ -102,7 +102,7 @@ class SingleSignOn:
 
     def begin(self, next_page: str, callback: str, *, reauthenticate: bool) -> tuple[str, LoginAttempt]:
         """Return where the browser goes, and the attempt that it keeps. ``callback``: where the provider
-        sends it back to. Raises NotAdmittedError."""
+        sends it back to. Raise NotAdmittedError."""
         attempt = new_attempt(next_page)
         url = None
         if self.provider is not None and self.provider.fault is None:
@@ -121,7 +121,7 @@ class SingleSignOn:
         device: str,
     ) -> SignedIn:
         """Begin the session of a browser that the provider sends back. ``response``: the parameters that it
-        brings. Raises NotAdmittedError, whose reason is logged and counted."""
+        brings. Raise NotAdmittedError, whose reason is logged and counted."""
         try:
             code = self._code(attempt, response)
             assert attempt is not None
@@ -133,7 +133,7 @@ class SingleSignOn:
         return await self._sign_in.begin(user, address, device, what)
 
     def _code(self, attempt: LoginAttempt | None, response: dict[str, str]) -> str:
-        """Return the code of a response to this attempt. Raises NotAdmittedError."""
+        """Return the code of a response to this attempt. Raise NotAdmittedError."""
         if self.provider is None or attempt is None or not attempt.has_state(response.get("state", "")):
             raise NotAdmittedError("expired")
         if not self.provider.is_issuer(response.get("iss")):

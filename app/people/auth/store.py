@@ -150,7 +150,7 @@ def user_of(connection: StoreConnection, account: CompanyAccount) -> User | None
 
 
 def add_user(connection: StoreConnection, user: User, secret_hash: str) -> None:
-    """Add a user; ``secret_hash`` is empty for a company account. Raises ConstraintError for a name that
+    """Add a user; ``secret_hash`` is empty for a company account. Raise ConstraintError for a name that
     exists."""
     connection.execute(
         "INSERT INTO users (name, role, secret_hash, panel, home, created_at, issuer, subject) "
@@ -301,7 +301,7 @@ def token(connection: StoreConnection, hash_: bytes) -> Token | None:
 
 
 def add_token(connection: StoreConnection, hash_: bytes, token: Token) -> None:
-    """Add a token. Raises ConstraintError for a name that exists."""
+    """Add a token. Raise ConstraintError for a name that exists."""
     connection.execute(
         "INSERT INTO tokens (hash, name, role, created_by, created_at, bus, expires_at) "
         "VALUES (?, ?, ?, ?, ?, ?, ?)",

@@ -69,7 +69,7 @@ class NotificationShown(TypedDict):
 
 
 class NotificationDeliveryShown(TypedDict):
-    """One message to one address."""
+    """A message to one address."""
 
     id: int
     message_id: Annotated[str, Field(description="The same with every attempt.")]

@@ -119,7 +119,7 @@ class ReportAttachments:
 
 @dataclass(frozen=True, slots=True)
 class OutboxItem:
-    """One notice to one address. The outbox has each pair of ``key`` and ``endpoint`` only once."""
+    """A notice to one address. The outbox has each pair of ``key`` and ``endpoint`` only once."""
 
     key: str
     endpoint: str
@@ -138,7 +138,7 @@ class OutboxItem:
 
 @dataclass(frozen=True, slots=True)
 class NotificationDelivery:
-    """One message to one address. ``message_id`` stays the same in every attempt."""
+    """A message to one address. ``message_id`` stays the same in every attempt."""
 
     id: int
     endpoint: str

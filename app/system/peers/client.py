@@ -84,7 +84,7 @@ class LineEventShown(TypedDict):
 
 
 class LineOfSite(TypedDict):
-    """One line. All fields except ``bus``, ``peer``, ``url``, ``stale``, ``age_s`` and ``verdict`` are as
+    """A line. All fields except ``bus``, ``peer``, ``url``, ``stale``, ``age_s`` and ``verdict`` are as
     last reported, null if never reported."""
 
     bus: Annotated[BusSlug, Field(description="Empty for a peer that has not reported any.")]

@@ -134,7 +134,7 @@ NO_UNIT: frozenset[int] = frozenset()
 
 @dataclass(eq=False)
 class CommandRun:
-    """One command on its way: ``begin`` makes its procedure in its turn; no other may write to ``units``."""
+    """A command on its way: ``begin`` makes its procedure in its turn; no other may write to ``units``."""
 
     id: str
     priority: Priority

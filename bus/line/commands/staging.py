@@ -63,7 +63,7 @@ Suspended = dict[int, tuple[int, UnitScale]]
 
 @dataclass(slots=True)
 class Member:
-    """One unit of a change. ``before``: its commanded speed as last read. ``scale``: the parameters with
+    """A unit of a change. ``before``: its commanded speed as last read. ``scale``: the parameters with
     which its value was converted, ``guarded`` if a person typed that value."""
 
     record: UnitRecord

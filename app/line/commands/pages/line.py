@@ -90,7 +90,7 @@ async def review_change(
     of_bus: BusPage, setpoints: Mapping[int, int], typed_with: Scales | None = None
 ) -> Response:
     """Review the new setpoints, raw, of several units; ``typed_with``: their scales, if they were typed.
-    Raises Problem if they would not be sent."""
+    Raise Problem if they would not be sent."""
     scales = typed_with or {}
     able = {unit: raw for unit, raw in setpoints.items() if of_bus.obstacle(unit) is None}
     if able:
@@ -114,7 +114,7 @@ async def review_change(
 
 
 async def typed_setpoints(page: BusPage, form: FormData) -> tuple[dict[int, int], Scales]:
-    """Return the raw setpoints in a form by unit, and their scales. Raises CallerError and Problem for an
+    """Return the raw setpoints in a form by unit, and their scales. Raise CallerError and Problem for an
     invalid setpoint."""
     fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in page.bus.units}
     typed = {unit: text for unit, text in fields.items() if text}
@@ -159,7 +159,7 @@ def _refuse_unable(page: BusPage, units: Iterable[int]) -> None:
 
 
 def left_out_of(form: FormData) -> set[int]:
-    """Return the units that the person leaves out. Raises Problem 422 for anything but addresses."""
+    """Return the units that the person leaves out. Raise Problem 422 for anything but addresses."""
     units = {parse_integer(str(text)) for text in form.getlist("leave-out")}
     if None in units:
         raise Problem(422, "invalid", Message("not_what_was_reviewed"))
@@ -167,7 +167,7 @@ def left_out_of(form: FormData) -> set[int]:
 
 
 def reviewed(live: BusLive, form: FormData, *, is_sent: bool) -> tuple[dict[int, int], Scales]:
-    """Return the reviewed setpoints, raw, of the units that are not left out, and their scales. Raises
+    """Return the reviewed setpoints, raw, of the units that are not left out, and their scales. Raise
     Problem 409 if one has moved since the review, unless ``is_sent``: then this change itself may have moved
     it."""
     setpoints, scales, left_out = {}, {}, left_out_of(form)

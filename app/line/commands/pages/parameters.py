@@ -89,7 +89,7 @@ async def review_parameter(
 async def review_value(
     page: UnitPage, number: int, raw: int, typed_with: UnitScale | None = None
 ) -> Response:
-    """Review a value of a parameter; ``typed_with``: its scale, if it was typed. Raises Problem if it would
+    """Review a value of a parameter; ``typed_with``: its scale, if it was typed. Raise Problem if it would
     not be sent."""
     parameter = PARAMETERS[number]
     await page.judge(WriteParameter(unit=page.id, number=number, raw=raw))

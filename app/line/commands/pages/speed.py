@@ -46,7 +46,7 @@ async def review_speed(
 async def review_setpoint(
     page: UnitPage, raw: int, *, execute: bool = True, typed_with: UnitScale | None = None
 ) -> Response:
-    """Review a setpoint; ``typed_with``: its scale, if it was typed. Raises Problem if it would not be
+    """Review a setpoint; ``typed_with``: its scale, if it was typed. Raise Problem if it would not be
     sent."""
     await page.judge(SetSpeed(unit=page.id, raw=raw, execute=execute))
     await page.know_ramps([page.id])

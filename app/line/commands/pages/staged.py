@@ -46,7 +46,7 @@ async def review_staged(page: PageOfBus) -> Response:
 
 
 def _known_staged(page: BusPage) -> dict[int, int]:
-    """Return the staged setpoints, raw by unit. Raises Problem 409 if there is none, or one is unknown."""
+    """Return the staged setpoints, raw by unit. Raise Problem 409 if there is none, or one is unknown."""
     unknown = [number for number, unit in page.bus.units.items() if unit.staged_unknown]
     staged = staged_setpoints(page.bus)
     if unknown:
@@ -72,7 +72,7 @@ async def execute_staged(request: Request, page: PageOfBus, confirmed: Confirmed
 
 async def _own_setpoint(page: BusPage, unit: int, deadline: Deadline) -> int:
     """Return the setpoint of a unit without its staged one, read from its parameter if the status shows
-    another value. Raises Problem if it is not known."""
+    another value. Raise Problem if it is not known."""
     live = page.bus.units[unit]
     number, raw = setpoint_parameter(live, page.bus), commanded_setpoint(live, page.bus)
     if number is not None:

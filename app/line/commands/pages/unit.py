@@ -80,7 +80,7 @@ async def set_limits(
 
 
 def _raw(live: UnitLive, text: str) -> int | None:
-    """Parse a limit. Raises CallerError and Problem for any other text."""
+    """Parse a limit. Raise CallerError and Problem for any other text."""
     if not text.strip():
         return None
     decimals = setpoint_decimals(live)
@@ -162,7 +162,7 @@ async def review_output(page: PageOfUnit, number: OutputPath) -> Response:
 
 
 def review_switch(page: UnitPage, number: int, *, on: bool) -> Response:
-    """Review a state of an output. Raises Problem if it would not be sent."""
+    """Review a state of an output. Raise Problem if it would not be sent."""
     page.check(WriteOutput(unit=page.id, number=number, on=on))
     return page.review(
         "unit/_review_output.html",
@@ -200,7 +200,7 @@ async def review_analog(page: PageOfUnit, value: Annotated[str, Form(max_length=
 
 
 def review_analog_value(page: UnitPage, raw: int) -> Response:
-    """Review a value of the analog output, in volts too. Raises Problem if it would not be sent."""
+    """Review a value of the analog output, in volts too. Raise Problem if it would not be sent."""
     page.check(WriteAnalogOutput(unit=page.id, raw=raw))
     return page.review(
         "unit/_review_analog.html",
@@ -225,7 +225,7 @@ async def set_analog(
 
 
 def typed_analog(text: str) -> int:
-    """Parse a typed value of the analog output. Raises CallerError."""
+    """Parse a typed value of the analog output. Raise CallerError."""
     if not text.strip().isdecimal() or len(text.strip()) > 6:
         raise CallerError(Message("whole_number_needed"))
     return int(text)

@@ -40,7 +40,7 @@ LEVEL = 6
 
 
 def pack_integers(columns: Sequence[Sequence[int]], level: int = LEVEL) -> bytes:
-    """Pack columns of equal length, with values within ±2^62. Raises OverflowError beyond."""
+    """Pack columns of equal length, with values within ±2^62. Raise OverflowError beyond."""
     rows = len(columns[0])
     codes, planes = [], []
     for column in columns:
@@ -55,7 +55,7 @@ def unpack_integers(
     blob: bytes, wanted: Iterable[int] | None = None, within: tuple[int, int] | None = None
 ) -> list[list[int]]:
     """Return all columns, or the ``wanted`` ones by position. ``within``: only the rows whose value in the
-    first column, which then has to rise, is at least the first number and below the second. Raises ValueError
+    first column, which then has to rise, is at least the first number and below the second. Raise ValueError
     for damaged bytes."""
     try:
         data = zlib.decompress(blob)
@@ -210,7 +210,7 @@ def pack_columns(table: Sequence[Sequence[int]], start: int) -> bytes:
 
 
 def unpack_runs(blob: bytes, start: int) -> list[Run]:
-    """Unpack the runs of a block. Raises ValueError if it is damaged."""
+    """Unpack the runs of a block. Raise ValueError if it is damaged."""
     return runs_of(zip(*unpack_columns(blob, start, Run._fields), strict=True))
 
 
@@ -218,7 +218,7 @@ def unpack_columns(
     blob: bytes, start: int, names: Sequence[str], within: tuple[int, int] | None = None
 ) -> list[list[int]]:
     """Unpack some columns of a block; ``until`` needs ``at``. ``within``: only the runs that begin between
-    two times, µs. Raises ValueError if it is damaged."""
+    two times, µs. Raise ValueError if it is damaged."""
     part = None if within is None else (within[0] - start, within[1] - start)
     found = unpack_integers(blob, [COLUMNS[name] for name in names], part)
     by_name = dict(zip(names, found, strict=True))
@@ -332,7 +332,7 @@ def pack_rollups(rows: Sequence[Rollup], start: int) -> bytes:
 
 
 def unpack_rollups(blob: bytes, start: int) -> list[Rollup]:
-    """Unpack the rollups of a block. Raises ValueError if it is damaged."""
+    """Unpack the rollups of a block. Raise ValueError if it is damaged."""
     rows = zip(*unpack_integers(blob), strict=True)
     return [Rollup._make([start + row[0], *row[1:_PLAIN], row[_PLAIN:]]) for row in rows]
 

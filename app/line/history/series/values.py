@@ -32,7 +32,7 @@ _OUTPUTS = {f"output.{n}": "output {n}" for n in range(1, 7)} | {"remote": "remo
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """One value of a unit. ``words``: its English name, in which ``{n}`` is the number of an output; ``bit``:
+    """A value of a unit. ``words``: its English name, in which ``{n}`` is the number of an output; ``bit``:
     its place in ST2 * 256 + ST1, -1 for a number. A draw is not stored, but made of its ``column`` of the
     unit before and of the unit itself."""
 

@@ -317,7 +317,7 @@ class CauseShown(TypedDict):
 
 
 class UnitShown(TypedDict):
-    """One unit. Speeds are decimal texts in its own decimals (#3), ``…_raw`` the integers on the wire."""
+    """A unit. Speeds are decimal texts in its own decimals (#3), ``…_raw`` the integers on the wire."""
 
     id: UnitAddress
     name: str
@@ -403,7 +403,7 @@ class WireShown(TypedDict):
 
 
 class BusShown(WireShown):
-    """One bus. Figures are null while no worker measures them."""
+    """A bus. Figures are null while no worker measures them."""
 
     name: str
     port: str
