@@ -66,7 +66,7 @@ class Site(StrictModel):
     simulated: StrictBool = False
     """No drive is connected: every page shows it."""
     control: StrictBool = False
-    """One user at a time holds control of a line, and no other may set anything."""
+    """Whether one user at a time holds control of a line; then no other may set anything."""
 
     @property
     def zone(self) -> str:

@@ -11,7 +11,7 @@ from bus.messages import Message
 
 
 class LinesideError(Exception):
-    """Base of every error that this project raises on purpose. Its ``str`` is ``message`` in English."""
+    """The base of every error that this project raises on purpose; ``str`` is ``message`` in English."""
 
     def __init__(self, message: Message) -> None:
         super().__init__(str(message))

@@ -48,7 +48,7 @@ class Bucket:
 
 
 STABLE_S = 10.0
-"""How long a link must last, in seconds, to count as stable."""
+"""The seconds that a link must last to count as stable."""
 FIRST_PAUSE_S = 0.5
 MAX_PAUSE_S = 30.0
 MAX_USEFUL_PAUSE_S = 0.5
@@ -68,7 +68,7 @@ class ReconnectDelay:
 
     random: Callable[[], float]
     count: int = 0
-    """How often in a row the link ended too soon."""
+    """The number of times in a row that the link ended too soon."""
 
     def ended(self, lasted_s: float, *, useful: bool = False) -> float:
         """Note an end after ``lasted_s``, ``useful`` if data came; return the seconds to wait."""

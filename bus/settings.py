@@ -35,7 +35,7 @@ def wire_seconds(byte_count: int, baud: int) -> float:
 
 
 class StrictModel(BaseModel):
-    """Base of settings: immutable, and an unknown key is an error."""
+    """The base of settings: immutable, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -66,7 +66,7 @@ class Dialect(StrictModel):
     parameter_reply_bytes: Literal[0, 1, 2, 4] = 0
     """Width of the 85h reply; 0 accepts 1, 2 and 4 bytes."""
     parameter_numbers: Literal["binary", "bcd"] = "binary"
-    """How PRM is written: sixteen as 10h or, for a unit that counts in BCD, as 16h."""
+    """The form of PRM: sixteen as 10h or, for a unit that counts in BCD, as 16h."""
     follower_speed: Literal["speed", "ratio"] = "speed"
     """The meaning of CS and AS while #8 makes the unit a follower."""
     estop_healthy: Literal[0, 1] = 1
@@ -92,7 +92,7 @@ class UnitLabels(StrictModel):
     analog: Label = ""
     analog_unit: Label = ""
     unit: Label = ""
-    """What the display shows, for example m/min."""
+    """The measure that the display shows, such as m/min."""
 
 
 def _check_band(value: object, check: ValidatorFunctionWrapHandler) -> tuple[Decimal, ...]:
@@ -144,7 +144,7 @@ class BusSettings(Dialect):
     max_scan_hz: Annotated[float, Field(strict=True, ge=0.1, le=100)] | None = None
     """The most times a second that all units are polled; None: as often as the wire allows."""
     worker: Literal["server", "remote"] = "server"
-    """Where the worker runs: on the server, or as ``lineside worker`` on the machine with the port."""
+    """The place of the worker: the server, or ``lineside worker`` on the machine with the port."""
     draw_percent: DrawBand = ()
     """Band of the draw of each unit that sets none itself."""
     unit: tuple[UnitSettings, ...] = ()

@@ -103,7 +103,7 @@ class Parameter:
     """The only legal values if the range has holes."""
     never_writable: bool = False
     dangerous: str = ""
-    """What a write can do to the link; empty if it cannot harm the link."""
+    """The harm that a write can do to the link; empty if it can do none."""
     harmless: frozenset[int] = frozenset()
     """Values of a dangerous parameter that cannot have the effect in ``dangerous``."""
     secret: bool = False
@@ -279,7 +279,7 @@ _ROWS = (
 # fmt: on
 
 PARAMETERS: Mapping[int, Parameter] = MappingProxyType({row.number: row for row in _ROWS})
-"""Every parameter by its number, 1 to 40."""
+"""The parameters by number, 1 to 40."""
 PARAMETER_NAMES.update({row.number: row.name for row in _ROWS})
 NEEDED_TO_SHOW = (
     *(MAX_RPM, MAX_DISPLAY, DECIMALS, FOLLOWER_MODE, AT_SPEED_WINDOW),

@@ -33,7 +33,7 @@ Direction = Literal["out", "in"]
 
 
 class TaggedStruct(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):
-    """Base of every message and part of a message: immutable, with its type in the field ``is``."""
+    """The base of each message and part of a message: immutable, with its type in the field ``is``."""
 
 
 MAX_UNITS = 255

@@ -110,10 +110,10 @@ COMMANDS_AT_A_STRETCH_S = 0.5
 """The longest series of operators' writes before one poll goes between, unless many units are being
 changed."""
 RESERVED_S = 0.015
-"""How long the wire is kept free for an announced write to pass through the app and onto its disk."""
+"""The seconds of free wire in which an announced write passes through the app and onto its disk."""
 ANNOUNCED_S = 0.25
-"""How long after the announcement of a write a read may belong to its checks: the turn after such a read is
-kept free for the write too."""
+"""The seconds after the announcement of a write in which a read may belong to its checks: the turn after such
+a read is kept free for the write too."""
 PACE = 0.8
 """The least part of the time on the wire that a read takes on a port that is faster than its baud rate."""
 _TRIES = {TaskKind.FIRST: 1, TaskKind.PROBE: 1}

@@ -19,7 +19,7 @@ from bus.messages import Message
 
 CONNECT_TIMEOUT_S = 3.0
 TCP_LOST_AFTER_MS = 800
-"""How long bytes may stay unacknowledged before the device server counts as gone, in milliseconds."""
+"""The milliseconds that bytes may stay unacknowledged before the device server counts as gone."""
 MAX_TEXT_BYTES = 400
 MAX_SHOWN = 100
 _TEXT = re.compile(rb"[\x20-\x7e\r\n\t]+")
@@ -145,7 +145,7 @@ def address_of(url: str) -> tuple[str, int]:
 
 
 MAX_NOTED_BYTES = 4096
-"""How many of the first bytes that a server sends are kept for its error text."""
+"""The number of a server's first bytes that are kept for its error text."""
 _OPTIONS = re.compile(rb"\xff(?:\xfa.*?\xff\xf0|[\xfb-\xfe].)", re.DOTALL)
 """A Telnet option (RFC 855): a subnegotiation, or a request with its option."""
 

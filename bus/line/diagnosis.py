@@ -26,11 +26,11 @@ MIN_RESPONSES = 3
 """The least number of unrequested responses that are more than chance."""
 WITHIN_S = 2.0
 CLEAR_AFTER_S = 10.0
-"""How long the wire must be free of unrequested responses, in seconds, before this host writes again."""
+"""The seconds that the wire must be free of unrequested responses before this host writes again."""
 MAX_OUTSTANDING = 16
 LATE_WITHIN_S = 60.0
-"""How many responses of a unit may be late, and by how much. A unit without a response is polled at most ten
-times in a minute, so after a standstill of a minute no response comes that this does not explain."""
+"""The most responses of a unit that may be late, and the most seconds. A unit without a response is polled at
+most ten times in a minute, so after a standstill of a minute these two explain each response that comes."""
 
 
 class SecondMaster:
@@ -52,7 +52,7 @@ class SecondMaster:
         self._outstanding: defaultdict[int, deque[Monotonic]] = defaultdict(
             lambda: deque(maxlen=MAX_OUTSTANDING)
         )
-        """When this host sent each request that has no response yet, by unit."""
+        """The time when this host sent each request without a response, by unit."""
 
     def requested(self, unit: int, now: Monotonic) -> None:
         """Note that this host sent a request."""

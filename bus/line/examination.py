@@ -128,9 +128,9 @@ def _seen(found: Sequence[Found]) -> dict[str, set[Setting]]:
 
 
 STATUS_READS = 4
-"""How often an address is read that responds, but not as a unit does."""
+"""The reads of an address that responds, but not as a unit does."""
 TRIES = 2
-"""How often a read is sent to a unit before it counts as having no response."""
+"""The reads of a unit after which it counts as having no response."""
 GARBLED_SHARE = 0.25
 """The part of damaged or duplicate responses above which the cause is more than noise."""
 OWN_ADDRESS_IN_BCD = 0x17
@@ -158,7 +158,7 @@ class ProbeOutcome:
     reply: Reply | None = None
     noise: LineNoise = NO_NOISE
     checksum_10h: Checksum10h | None = None
-    """How often the response's checksum of 10h was sent; None for any other checksum."""
+    """The way in which a checksum of 10h was sent; None for any other checksum."""
     responded_after_s: float | None = None
     """Seconds from the request's last byte to the response's first."""
 
@@ -370,13 +370,13 @@ class Passes:
 
     @property
     def settled(self) -> int:
-        """Return how many requests are done or no longer needed."""
+        """The number of requests that are done or no longer needed."""
         without_response = min(self._done + 1, PASSES) * len(self._without_response)
         return PASSES * self._found + without_response + min(self._done, PASSES) * len(self._remaining)
 
     @property
     def done(self) -> int:
-        """Return how many addresses are done."""
+        """The number of addresses that are done."""
         return self.settled // PASSES
 
     def __iter__(self) -> Iterator[int]:

@@ -54,7 +54,7 @@ from bus.wire.exchange import Exchange
 CLOSED_TO_OFFLINE_S = 3.0
 NOT_OPENED = Message("port_not_opened")
 MAX_PORT_REMARKS = 5
-"""How many remarks about the port are kept, the newest."""
+"""The number of newest remarks about the port that are kept."""
 
 
 class NextExchange(NamedTuple):
@@ -90,7 +90,7 @@ class LineLoop:
         self._figures = Figures()
         self._arbiter = Arbiter(self.schedule, self.link.pending, self._exchange_s)
         self.commands = self._arbiter.commands
-        """All commands that wait or are under way."""
+        """The commands that wait or are under way."""
         self._baud_search = BaudSearch(clock.now())
         self._closed_at = clock.now()
         self._port_remarks: dict[str, tuple[Message, Monotonic]] = {}

@@ -102,7 +102,7 @@ class CurrentExchange(msgspec.Struct):
     exchange: Exchange
     began: Monotonic
     ends_sending: Monotonic
-    """When the request's last byte has left."""
+    """The time when the request's last byte has left."""
     last_moment: Monotonic
     """The moment after which no response can come, even if this process receives it later."""
     ended: Monotonic = Monotonic(0.0)
@@ -146,9 +146,9 @@ LISTEN_FRACTION = 0.93
 """The part of the least time during which bytes gather, because receiving a few alone costs as much as a
 response; it is less than ``EARLY`` in ``bus.line.timing``."""
 SECRET_LINGERS_S = 5.0
-"""How long after an exchange with a secret (#21) other bytes may be a piece or a copy of it, in seconds."""
+"""The seconds after an exchange with a secret (#21) in which other bytes may be a part or copy of it."""
 AHEAD_S = 0.002
-"""How long before a response can be complete bytes are taken: a loop's timers count milliseconds."""
+"""The seconds before a response can be complete when bytes are taken: timers count milliseconds."""
 
 
 class Link:
@@ -182,7 +182,7 @@ class Link:
         self._pace = PortPace()
         self._secret_until = Monotonic(-math.inf)
         self.loss: Message | None = None
-        """Why the last port was lost."""
+        """The reason why the last port was lost."""
         self.has_responses = False
         """Whether any unit has responded since the port was opened."""
         self._forget()

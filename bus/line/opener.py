@@ -91,11 +91,11 @@ def _connect(url: str) -> None:
 
 RETRY_S = 0.5
 CHECK_S = 0.5
-"""How often an open port is checked, in seconds: a loss that is not reported is detected within this time."""
+"""The seconds between checks of an open port, within which a loss that is not reported is detected."""
 OTHERS_S = 60.0
 """Seconds between searches for other users of the port; one follows when a unit stops responding."""
 REMARK_S = 600.0
-"""How long the diagnosis shows that another program changed the settings of the port, in seconds."""
+"""The seconds for which the diagnosis shows that another program changed the port's settings."""
 
 OpenFunction = Callable[[str, int, Receiver], Awaitable[OpenPort]]
 
@@ -112,7 +112,7 @@ class Opener:
         self._port: OpenPort | None = None
         self._cause: Message | None = None
         self._causes = 0
-        """How often in a row the cause differed from the one before."""
+        """The number of times in a row that the cause differed from the one before."""
         self._backoff = ReconnectDelay(random.random)
         self.opening: _Opening | None = None
 

@@ -39,7 +39,7 @@ from bus.instants import Monotonic
 UnitParameter = tuple[int, int]
 """A unit and the number of a parameter."""
 DECIMALS_EVERY = 4
-"""One in so many reads of the slow scan is #3, so that a first reading of all others still ends soon."""
+"""The slow scan reads #3 once in so many reads, so that a first reading of all others ends soon."""
 _FIRST = (DECIMALS, FOLLOWER_MODE, MAX_DISPLAY)
 """The parameters that are read of all units before the other needed ones, in this order: without decimals no
 speed can be shown right, and a setpoint waits until its bounds, the mode and #2, are read."""
@@ -245,7 +245,7 @@ def _rations() -> dict[bool, WireShare]:
 
 
 LOOK_ELSEWHERE_S = 3.0
-"""How long a line without any response is polled at one baud rate before the other is tried, in seconds."""
+"""The seconds for which a silent line is polled at one baud rate before the other is tried."""
 
 
 class BaudSearch:
@@ -412,7 +412,7 @@ class PollSchedule:
         self._poll_fraction = 1.0
         self._least_scan_s = least_scan_s
         self._poll_due = Monotonic(-math.inf)
-        """When the next poll of the scan may leave."""
+        """The time when the next poll of the scan may leave."""
 
     # --- what happened -------------------------------------------------------------------------
 

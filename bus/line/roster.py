@@ -183,7 +183,7 @@ class UnitRecord:
 
 
 class Roster:
-    """Every configured unit in floor order, and any other to which a command was sent."""
+    """The configured units in floor order, and any other to which a command was sent."""
 
     def __init__(self, units: Iterable[int], at: UnixTime) -> None:
         self.configured = tuple(units)

@@ -59,11 +59,11 @@ class Collected:
 
     exchange: Exchange
     ends_sending: Monotonic
-    """When the request's last byte has left."""
+    """The time when the request's last byte has left."""
     byte_s: float
     events: list[ExchangeEvent] = field(default_factory=list)
     response_ends: Monotonic | None = None
-    """When the response was complete."""
+    """The time when the response was complete."""
 
     @property
     def turnaround_s(self) -> float | None:
@@ -187,7 +187,7 @@ class Prober:
         self._baud = baud
         self._turnaround_s = turnaround_s
         self._without_response: dict[int, Monotonic] = {}
-        """When requests were sent to units that have not responded since."""
+        """The times of requests to units that have not responded since."""
         self._quick: set[int] = set()
 
     async def examine(self, unit: int) -> Found | None:
@@ -250,7 +250,7 @@ def _outcome(collected: Collected) -> ProbeOutcome:
 
 
 LISTEN_S = 0.2
-"""How long the line is listened to before the first request, in seconds."""
+"""The seconds of listening to the line before the first request."""
 MAX_UNREQUESTED_BYTES = 10
 """The most bytes in that time with which responses can be distinguished from other traffic."""
 

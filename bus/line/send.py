@@ -1,4 +1,4 @@
-"""One request through all its attempts: fences, retries, deadline, result. Pure: time is passed in."""
+"""A request through all its attempts: fences, retries, deadline, result. Pure: time is passed in."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class SendResult(msgspec.Struct, frozen=True):
     reply: Reply | None = None
     attempts: int = 0
     sent_at: UnixTime | None = None
-    """When the request's last byte left."""
+    """The time when the request's last byte left."""
     responded_at: UnixTime | None = None
     frame: bytes = b""
     noise: LineNoise = NO_NOISE
@@ -105,7 +105,7 @@ class ExchangeResult(msgspec.Struct, frozen=True):
     began: Monotonic
     ended: Monotonic
     sent_at: UnixTime
-    """When the request's last byte left."""
+    """The time when the request's last byte left."""
     responded_at: UnixTime | None = None
     frame: bytes = b""
     noise: LineNoise = NO_NOISE

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bus.line.port import OpenPort
 
 SLEW_S = 0.001
-"""How far one ``settle`` follows the wall clock's drift, in seconds; a step beyond STEP_S is followed
+"""The most seconds by which one ``settle`` follows the wall clock's drift; a step beyond STEP_S is followed
 fully."""
 STEP_S = 1.0
 NEVER = Monotonic(math.inf)

@@ -32,7 +32,7 @@ class WireEventKind(StrEnum):
     """The kinds of entry in the record of a line."""
 
     CAME = "came"
-    """Bytes that the host wrote, at the time it wrote them."""
+    """The bytes that the host wrote, at the time it wrote them."""
     RECEIVED = "received"
     """A complete request reached a unit ``at`` its last byte. Unit 0: no unit has its address."""
     ACTED = "acted"
@@ -40,7 +40,7 @@ class WireEventKind(StrEnum):
     RESPONDED = "responded"
     """The unit's response, before any fault."""
     SENT = "sent"
-    """Bytes put on the line to the host, faults included; ``at`` is when the last of them is out."""
+    """The bytes sent to the host, faults included; ``at`` is when the last of them is out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class FaultKind(StrEnum):
 
 
 class Piece(NamedTuple):
-    """Bytes that a unit puts on the line ``delay`` seconds later than a good response would begin."""
+    """The bytes that a unit sends ``delay`` seconds later than a good response would begin."""
 
     delay: float
     data: bytes
@@ -203,7 +203,7 @@ _ON_RESPONSES = tuple(FaultKind)[tuple(FaultKind).index(FaultKind.LATE) :]
 
 
 IDLE_S = 1.5 * STEP_S
-"""How far the physics may lag while no request comes, in seconds."""
+"""The seconds that the physics may lag while no request comes."""
 
 FLOOD_TALKER = -1
 ECHO_TALKER = -2

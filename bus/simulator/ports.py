@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 WAKE_S = 0.004
-"""How long bytes inside a frame may wait for each other, as in an adapter's buffer; its first and last do
-not."""
+"""The seconds that bytes inside a frame may wait for each other, as in an adapter's buffer; its first and
+last do not."""
 
 
 @dataclass(slots=True)

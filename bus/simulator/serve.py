@@ -32,9 +32,9 @@ from bus.simulator.unit import FACTORY, Memory, Mode, Traits, Unit
 T = TypeVar("T")
 
 WATCH_S = 150e-6
-"""How long before a frame's last byte is due the thread stops sleeping: the time to wake up."""
+"""The seconds before a frame's last byte is due when the thread stops sleeping: its wake-up time."""
 LISTEN_S = 500e-6
-"""How long after a byte the thread stays awake for the host's next request, to know when it came."""
+"""The seconds after a byte for which the thread stays awake, to know when the next request came."""
 _PR_SET_TIMERSLACK = 29
 
 

@@ -74,7 +74,7 @@ MAX_OUTSTANDING = 32
 """The most outstanding requests to one unit; a response that is late by more is not expected."""
 
 MAX_FENCES_PLANNED = 4
-"""How many fences ahead are planned; each may double the states to look at."""
+"""The most fences that are planned ahead; each may double the states to look at."""
 
 
 class Shape(NamedTuple):
@@ -344,7 +344,7 @@ class Exchange:
         self.awaiting = request.unit != 0
         self.reply: Reply | None = None
         self.first_byte_at: Monotonic | None = None
-        """When the first byte after the request (and its echo) came, in the caller's time."""
+        """The time of the first byte after the request (and its echo), by the caller's clock."""
         self.dialect = dialect
         self._before = pending or PendingResponses(request.unit, dialect)
         self.frame = b""

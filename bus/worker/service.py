@@ -1,4 +1,4 @@
-"""One bus worker: the line, the link to the app, and the messages between them."""
+"""A bus worker: the line, the link to the app, and the messages between them."""
 
 from __future__ import annotations
 

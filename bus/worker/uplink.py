@@ -190,7 +190,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 MIN_PAUSE_S = 0.1
 MAX_PAUSE_S = 2.0
 HURRY_S = 5.0
-"""How long after the start or a lost link the pause stays short, in seconds: the app is probably starting."""
+"""The seconds of short pauses after the start or a lost link, when the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
 NEXT_PAUSE_S = 1.0
 """The pause after a refusal if there is another address, in seconds."""
@@ -265,7 +265,7 @@ class Uplink:
         self._logged = ""
         self._backoff = ReconnectDelay(random.random)
         self._accepted_at: float | None = None
-        """When the app accepted the connection; None if it has not."""
+        """The time when the app accepted the connection; None if it has not."""
         self._is_stalled = False
         """Whether the app sent nothing for too long, so that another may have taken its place."""
 

@@ -1,4 +1,4 @@
-"""One store: one thread writes, others read."""
+"""A store: one thread writes, others read."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class Database:
 
 
 class Tables:
-    """Base of classes for some tables of a database; the methods of a subclass are their queries."""
+    """The base class for tables of a database; the methods of a subclass are their queries."""
 
     def __init__(self, database: Database) -> None:
         self.database = database

@@ -112,7 +112,7 @@ class FoundKind(NamedTuple):
 
 
 class Finders:
-    """All finders by the kind of their results, in the order in which kinds are shown."""
+    """The finders by the kind of their results, in the order in which kinds are shown."""
 
     def __init__(self) -> None:
         self._finders: dict[str, list[Finder]] = {}

@@ -270,7 +270,7 @@ MAX_HEADER = 400
 
 
 class Languages:
-    """Every language that has a catalog. ``kept_in``: where catalogs stay compiled between starts.
+    """The languages that have a catalog. ``kept_in``: the folder of compiled catalogs between starts;
     ``time_zone``: that of the site."""
 
     def __init__(self, folder: Path = FOLDER, kept_in: Path | None = None, time_zone: str = UTC) -> None:

@@ -112,10 +112,10 @@ def _last(headers: Headers, name: str) -> str:
 
 
 class Forwarded:
-    """ASGI middleware that puts the client of a request, and the name by which it called this server, into
-    the scope. A proxy's connections carry requests of many clients, so the requests of each are counted here
-    as the connections of others are (`app.core.server.connections`). ``note_refusal`` is called with the
-    address, the status and the path of one too many."""
+    """The ASGI middleware that puts the client of a request, and the name by which it called this server,
+    into the scope. A proxy's connections carry requests of many clients, so the requests of each are counted
+    here as other connections are (`app.core.server.connections`). ``note_refusal`` is called with the
+    address, the status and the path of a request too many."""
 
     def __init__(
         self, app: ASGIApp, trusted: Collection[Network], note_refusal: Callable[[str, str, str], None]

@@ -137,10 +137,10 @@ MAX_FRAMING_BYTES, MAX_FRAMING_SHARE = 128 * 1024, 16
 """Limits of a body in chunks: bytes that may arrive before the app takes any, and for each byte that it has
 taken. A chunk of one byte has 5 more."""
 MAX_MESSAGE_BYTES = 16 * 1024
-"""Bytes that a WebSocket may send, control frames included, until the app takes the next message or trusts
-the sender."""
+"""The bytes that a WebSocket may send, control frames included, until the app takes the next message or
+trusts the sender."""
 MAX_AFTER_CLOSE_BYTES = 4096
-"""Bytes that a page may send until it has seen the server's Close frame, its own Close frame included."""
+"""The bytes that a page may send until it sees the server's Close frame, with its own Close frame."""
 MAX_PASSED_OVER_BYTES = 4 * 1024 * 1024
 """The bytes that a client may send after the server has ended the connection."""
 CLOSING_S = 5.0
@@ -656,8 +656,7 @@ def _body_length(headers: list[tuple[bytes, bytes]]) -> float:
 
 
 class Stages:
-    """ASGI middleware that stamps a request with its arrival and tells its gate how far the app is with
-    it."""
+    """The ASGI middleware that stamps a request with its arrival and tells its gate of the app's progress."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

@@ -34,8 +34,8 @@ MEDIA_TYPE = "application/problem+json"
 
 
 class SecurityHeaders:
-    """ASGI middleware that adds `HEADERS`, to a static file `FILE_HEADERS`; a response whose route sets no
-    Cache-Control is not cached."""
+    """The ASGI middleware that adds `HEADERS`, to a static file `FILE_HEADERS`; a response whose route sets
+    no Cache-Control is not cached."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

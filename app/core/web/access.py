@@ -84,7 +84,7 @@ class Caller:
     panel: bool = False
     home: str = "/"
     created_at: UnixTime = UnixTime(0.0)
-    """When the account was made, Unix time in seconds: a later account of the same name has another."""
+    """The Unix time at which the account was made: a later account of the same name has another."""
     bus: str = ""
     """The one bus for which a worker speaks."""
     has_company_account: bool = False
@@ -92,7 +92,7 @@ class Caller:
     credential: str = field(default="", repr=False, compare=False)
     """Identifies the credential, distinct from an earlier one of the same account."""
     address: str | Message = field(default="", compare=False)
-    """Where the request came from: the address of its client, or the command line."""
+    """The source of the request: the address of its client, or the command line."""
 
     @property
     def has_account(self) -> bool:

@@ -109,7 +109,7 @@ class Asset:
 
 
 class Assets:
-    """All files below one folder. Their address holds one hash of all of them, so that a module's relative
+    """The files below one folder. Their address holds one hash of all of them, so that a module's relative
     import stays inside the same version."""
 
     def __init__(self, folder: Path) -> None:

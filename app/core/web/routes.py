@@ -169,14 +169,14 @@ class RouteGuard:
 
 MAX_AT_ONCE = 2
 MAX_WAITING = 30
-"""How many searches, and how many downloads, of an account may wait."""
+"""The most searches, and the most downloads, of an account that may wait."""
 MAX_READS = 2
 REST, MOST_REST_S = 2.0, 0.5
 """The factor by which a read's place stays free longer than the read took, and the most seconds. A command
 needs the event loop some twenty times, and would otherwise wait for another page of that account each
 time."""
 MAX_WAITING_READS = 200
-"""How many other reads of an account may wait."""
+"""The most other reads of an account that may wait."""
 
 
 @dataclass(frozen=True)
@@ -212,9 +212,9 @@ without the rest it would wait for another page each time."""
 
 
 class AnonymousLimiter:
-    """ASGI middleware that serves a request without a caller in its turn, and only once its body has arrived.
-    Otherwise a burst of them would begin in one iteration of the event loop, before everyone else's requests.
-    ``exempt``: paths that cost the loop next to nothing, or have other turns."""
+    """The ASGI middleware that serves a request without a caller in its turn, and only once its body has
+    arrived. Otherwise a burst of them would begin in one iteration of the event loop, before everyone else's
+    requests. ``exempt``: paths that cost the loop next to nothing, or have other turns."""
 
     def __init__(self, app: ASGIApp, exempt: Collection[str] = (HEALTH,)) -> None:
         self._app = app

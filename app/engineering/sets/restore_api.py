@@ -213,7 +213,7 @@ class RestoreRequest(StrictBody):
 
 
 class StartRestoreRequest(StrictBody):
-    """Another selection of rows than that of the plan; a member that is left out or null stays as planned."""
+    """The rows to write, if not those of the plan; a member that is left out or null stays as planned."""
 
     include: Included | None = None
     exclude: Excluded | None = None

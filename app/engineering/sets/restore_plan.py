@@ -187,7 +187,7 @@ class Selection:
 
 
 EVERYTHING_HARMLESS = Selection()
-"""All rows except setpoints and dangerous rows."""
+"""The selection of all rows except setpoints and dangerous rows."""
 
 _REMOTE = 1
 """The value of #19 of a unit that takes writes (manual, 4.0)."""

@@ -28,7 +28,7 @@ from bus.instants import Clock, UnixTime
 RETRY_AFTER_S = 1.0
 TICK_S = 1.0
 OBSERVED_EVERY_S = 60.0
-"""How often, in seconds, the store learns that the alarms are still observed."""
+"""The seconds between two notes in the store that the alarms are still observed."""
 MAX_WITHDRAWN = 500
 """The most alarms without a definition that are kept for those who follow the journal."""
 AlarmSubscriber = Callable[[Alarm], None]
@@ -59,7 +59,7 @@ class AlarmList:
         self._first_out = FirstOut()
         self._subscribers: list[AlarmSubscriber] = []
         self.annunciated: Counter[AlarmPriority] = Counter()
-        """How often alarms were annunciated since the server started."""
+        """The number of alarms annunciated since the server started."""
         self.observed: ObservedSpan | None = None
         """The span up to now in which the conditions were observed without a gap; None before it begins."""
         self._recorded: ObservedSpan | None = None

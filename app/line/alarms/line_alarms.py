@@ -34,7 +34,7 @@ from bus.tls import MalformedCertificateError, certificates_in
 
 LOOK_EVERY_S = 60.0
 Expiry = tuple[UnixTime, str]
-"""When something expires, and its name."""
+"""The time when something expires, and its name."""
 
 
 class ExpiryWatch:
@@ -168,7 +168,7 @@ class FoundAlarm(NamedTuple):
 
 
 class LineAlarms:
-    """All alarms. An act of a person is in the audit log, in the journal and in the alarm, or nowhere."""
+    """The alarms. An act of a person is in the audit log, in the journal and in the alarm, or nowhere."""
 
     def __init__(
         self,

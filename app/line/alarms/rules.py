@@ -19,7 +19,7 @@ from bus.instants import UnixTime
 BaseState = Literal["normal", "unack_active", "ack_active", "rtn_unack", "latched_unack", "latched_ack"]
 AlarmState = Literal[BaseState, "shelved", "suppressed", "out_of_service"]
 PRESENT_STATES: tuple[AlarmState, ...] = get_args(AlarmState)[1:]
-"""Every state but normal."""
+"""The states except normal."""
 AlarmTrigger = Literal[
     "rise",
     "clear",
@@ -64,15 +64,15 @@ class AlarmFacts:
     """Whether the shelving ends with the condition, at the latest at ``shelved_until``."""
     occurrence: int = 0
     since: UnixTime | None = None
-    """When the present state began."""
+    """The time when the present state began."""
     came: UnixTime | None = None
-    """When the occurrence began; no act of a person changes it."""
+    """The time when the occurrence began; no act of a person changes it."""
     cleared: UnixTime | None = None
-    """When the condition of the occurrence ended; None: it holds."""
+    """The time when the condition of the occurrence ended; None: it holds."""
     acknowledged_at: UnixTime | None = None
-    """When a person acknowledged the occurrence; None: no one has."""
+    """The time when a person acknowledged the occurrence; None: no one has."""
     changing_since: UnixTime | None = None
-    """When the condition became other than ``active``, which starts a delay."""
+    """The time when the condition became other than ``active``, which starts a delay."""
     unknown_since: UnixTime | None = None
     """Since when the condition is not known."""
 

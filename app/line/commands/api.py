@@ -247,7 +247,7 @@ UnitInPath = Annotated[UnitLive, Depends(_unit_in_path)]
 
 
 TimeoutS = Annotated[float, Field(ge=0.05, le=30)]
-"""How long a write may wait for the wire, in seconds; after that it is dropped."""
+"""The seconds that a write may wait for the wire; after that it is dropped."""
 UnitKey = Annotated[str, StringConstraints(pattern=r"^[1-9][0-9]{0,2}$")]
 TypedValue = str | int | float
 

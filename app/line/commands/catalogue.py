@@ -57,7 +57,7 @@ from bus.contract.actions import longest_stage_s
 from bus.messages import Message, term
 
 SCALE_READS = 3
-"""How many parameters convert and bound a setpoint; they are read in the turn that stages its unit."""
+"""The number of parameters that convert and bound a setpoint; the turn that stages a unit reads them."""
 
 
 def timeout_s_for(bus: BusLive, staged_units: int = 0, *, typed: bool = False) -> float:
@@ -100,7 +100,7 @@ class CommandKind(Generic[A]):
     check: Callable[[A, RuleContext], None] = lambda _, _now: None
     """The check of this kind alone. Raises Problem."""
     danger: Callable[[A], str] = lambda _: ""
-    """Why the command must be confirmed; empty if it need not be."""
+    """The reason why the command must be confirmed; empty if it need not be."""
     timeout_s: Callable[[A, BusLive], float] = lambda _, bus: timeout_s_for(bus)
     """The seconds that the command may take if its sender gives no timeout."""
     writes_parameters: bool = False
@@ -216,7 +216,7 @@ READ_TRACE = CommandKind(
 COMMANDS: dict[type[Action], CommandKind[Any]] = {
     kind.request: kind for kind in tuple(vars().values()) if isinstance(kind, CommandKind)
 }
-"""Every row above, by its request."""
+"""The rows above, by request."""
 
 
 ROLES_BY_COMMAND: dict[str, Role] = {request.__name__: kind.role for request, kind in COMMANDS.items()}

@@ -58,14 +58,14 @@ class RequestedControl:
 
 
 class Control:
-    """Control of one bus: at most one holder, by account, and one request to that holder."""
+    """The control of one bus: at most one holder, by account, and one request to that holder."""
 
     def __init__(self, *, required: bool) -> None:
         self.required = required
         self._holding: Holding | None = None
         self._request: RequestedControl | None = None
         self._declined: dict[str, Monotonic] = {}
-        """When the present holder declined the last request of each account."""
+        """The time when the present holder declined the last request of each account."""
 
     def holding(self, now: Monotonic) -> Holding | None:
         """Return who holds control; None if it is free."""

@@ -41,7 +41,7 @@ LimitSetpoint = Annotated[int, Field(ge=0, le=HIGHEST_SETPOINT)]
 
 
 class SpeedLimits(StrictBody):
-    """All four limits in raw setpoint units; null or left out: no limit."""
+    """The four limits in raw setpoint units; null or left out: no limit."""
 
     lowest: Annotated[LimitSetpoint | None, Field(description="Lowest setpoint, raw.")] = None
     highest: Annotated[LimitSetpoint | None, Field(description="Highest setpoint, raw.")] = None
@@ -123,7 +123,7 @@ class ControlRequestShown(TypedDict):
 
 
 class ControlShown(TypedDict):
-    """Control of a line: its holder and a request for it."""
+    """The control of a line: its holder and a request for it."""
 
     required: Annotated[bool, Field(description="Whether commands need control (control in [site]).")]
     lapses_after_s: Annotated[

@@ -64,8 +64,8 @@ MAX_AT_ONCE = 2
 MAX_WAITING = 60
 """The most writes of an account that wait for their turn."""
 RECHECK_S = 0.25
-"""How often the rights of the sender are checked, in seconds: most commands are over by then; a change of the
-baud rate or of many units is not."""
+"""The seconds between checks of the sender's rights: most commands are over by then; a change of the baud
+rate or of many units is not."""
 
 
 BeforeWrite = Callable[[Person, Sequence[int], bool], Awaitable[None]]

@@ -38,7 +38,7 @@ from bus.contract.actions import MAX_UPDATES
 from bus.instants import UnixTime
 
 AHEAD_S = 5.0
-"""How far ahead a time may be, in seconds: a clock's offset is known to within a message's delay."""
+"""The seconds that a time may be ahead: a clock's offset is known to within a message's delay."""
 LIVE_S = 60.0
 """The age in seconds from which a reading is no present state, whatever its mark."""
 
@@ -182,7 +182,7 @@ def _is_of_before(update: Update, now: UnixTime) -> bool:
 
 
 FIRST_S = 900.0
-"""How far back a first worker is believed if nothing of its bus is stored: what it keeps at 9600 baud."""
+"""The past for which a first worker is believed if its bus has no data: its buffer at 9600 baud."""
 REPEATED_S = 5.0
 """Updates this old are sent again after a crash of the app, unconfirmed but stored."""
 OFFSET_ERROR_S = 1.0

@@ -205,7 +205,7 @@ class HistoryMark(TypedDict):
 
 
 class HistoryMarks(TypedDict):
-    """Events of a span, oldest first."""
+    """The events of a span, oldest first."""
 
     marks: list[HistoryMark]
     more: Annotated[bool, Field(description="Whether there are more than the newest 500.")]
@@ -230,9 +230,9 @@ EXPORT: dict[int | str, dict[str, Any]] = {
 
 MAX_MARKS = 500
 MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
-"""Events that explain a curve; sign-ins do not."""
+"""The kinds of events that explain a curve; sign-ins do not."""
 LATE = ("event_history_follows", "event_readings_late")
-"""Events about readings that came late, whose message has the span of the readings."""
+"""The codes of events about late readings, whose message has the span of the readings."""
 _TEXTS = ("what", "old", "new")
 """The fields of a mark that may be messages."""
 _OF_MARK = ("id", "kind", "who", "bus", "unit", "outcome", *_TEXTS)

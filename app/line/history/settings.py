@@ -13,6 +13,6 @@ class HistorySettings(StrictModel):
     """The retention of readings."""
 
     raw_days: Annotated[int, Field(strict=True, ge=1, le=3650)] = 30
-    """How long every reading is kept; older ones are one-minute and one-hour least, greatest and average."""
+    """The days that every reading is kept, then only least, greatest and average of minutes and hours."""
     years: Annotated[int, Field(strict=True, ge=1, le=100)] = 10
-    """How long minutes and hours are kept, and the bits as intervals."""
+    """The years for which minutes and hours are kept, and the bits as intervals."""

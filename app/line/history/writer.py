@@ -55,7 +55,7 @@ MAX_REPORTED = 1000
 REPLACE_EVERY_S = 86_400.0
 """A store that is damaged again within so many seconds is not replaced: the machine is at fault."""
 SHOWN_FOR = 7 * DAY
-"""How long damage is shown on the pages, µs; its event stays."""
+"""The time for which pages show damage, µs; its event stays."""
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 log = structlog.get_logger()
@@ -67,7 +67,7 @@ SETTLED_S = 3600.0
 """The seconds after a start or a clock step in which nothing is given up for its age, since the clock may be
 wrong."""
 LATE = 10 * MINUTE
-"""How long workers buffer while the app is away, µs: an hour that ended longer ago is complete."""
+"""The time for which workers buffer while the app is away, µs: earlier hours are complete."""
 MAX_DROPPED = 50
 """The most blocks that one transaction deletes."""
 MAX_PAGES = 2000
@@ -77,7 +77,7 @@ FIGURES_S = 0.05
 FIGURES_EVERY_S = 20.0
 """The seconds after the start, and between two searches for hours that have no figures."""
 LOOK_BACK = 92 * DAY
-"""How far the first search goes back, µs: the longest report."""
+"""The span of the first search, µs: the longest report."""
 
 
 class Upkeep:

@@ -1,4 +1,4 @@
-"""One open page, which gets the newest values and never a queue.
+"""An open page, which gets the newest values and never a queue.
 
 Changes while its socket is busy go together as one update. A slow browser is always shown the present, and
 costs a few references: all that missed the same updates share one merged update.

@@ -102,7 +102,7 @@ MotionState = Literal[
 """``stopped``, ``stopping``, ``turning``: not driven; standing still, slowing down, or neither."""
 
 PATIENCE_S = 3.0
-"""How long, or for three scans, a ramping unit may come no nearer before it counts as off speed."""
+"""The seconds, or three scans, in which a ramping unit must come nearer, or it counts as off speed."""
 PATIENCE_SCANS = 3
 
 
@@ -251,14 +251,14 @@ class UnitLive:
     """Whether it is unknown what the unit holds: it did not acknowledge 82h, or was away with a staged
     speed."""
     may_differ_since: UnixTime | None = None
-    """When a parameter was found changed, or the unit was back after it was offline. A person who changed one
-    at the keypad may have changed others, so earlier values count as old until they are read again."""
+    """The time when a parameter was found changed, or the unit came back online. A person who changed one at
+    the keypad may have changed others, so earlier values count as old until they are read again."""
     motion: Motion = field(default_factory=Motion)
     onsets: Onsets = field(default_factory=Onsets)
     draw: Draw = NO_DRAW
     """The draw to the unit before it at the time of its reading."""
     last_response: UnixTime | None = None
-    """When the unit last responded before this server started; None while that is not known."""
+    """The time of the unit's last response before this server started; None while not known."""
 
     @property
     def names(self) -> list[str]:
@@ -311,9 +311,9 @@ class BusLive:
     settings: BusSettings
     link: BusLink
     link_onset: Onset
-    """When the present ``link`` began."""
+    """The beginning of the present ``link``."""
     worker_lost: Onset | None
-    """When the last worker was lost; None while one is connected."""
+    """The time when the last worker was lost; None while one is connected."""
     figures: BusFigures | None = None
     units: dict[int, UnitLive] = field(default_factory=dict)
     read_at: UnixTime | None = None
@@ -421,7 +421,7 @@ def changed_by(bus: BusLive, updates: Sequence[Update]) -> tuple[list[int], bool
 
 
 class LiveState:
-    """Every configured bus, by its name."""
+    """The live state of the configured buses, by name."""
 
     def __init__(self, buses: Iterable[BusSettings], started_at: UnixTime) -> None:
         self.buses = {settings.name: bus_without_reports(settings, started_at) for settings in buses}

@@ -55,7 +55,7 @@ class LineEvent:
     series: str = ""
     """Separates events of one unit and kind that must not crowd out each other."""
     count: int = 0
-    """How many occurrences the event sums up, from the first on; it becomes `new`."""
+    """The number of occurrences that the event sums up, from the first on; it becomes `new`."""
 
 
 @dataclass(slots=True)
@@ -130,7 +130,7 @@ RETRY_AFTER_S = 1.0
 BURST = 20
 """Changes of one series that are recorded individually."""
 FEW = 6
-"""How often a port or a worker may come and go before its changes are summed up."""
+"""The most changes of a port or a worker before they are summed up."""
 FORGIVEN_EVERY_S = 60.0
 """The seconds until a series may have one more event of its own."""
 QUIET_S = 60.0
@@ -138,7 +138,7 @@ FIRST_PAUSE_S, MAX_PAUSE_S = 60.0, 3600.0
 MAX_WAITING = 10_000
 """The most changes kept in memory while the log cannot be written; beyond it the oldest are left out."""
 DUE_EVERY_S = 1.0
-"""How often the recorder looks for due summaries, in seconds."""
+"""The seconds between two looks for due summaries."""
 
 log = structlog.get_logger()
 
@@ -303,7 +303,7 @@ LOOK_AFTER_S = (1.0, 10.0, 60.0)
 have delivered what it buffered meanwhile."""
 HOUR_S, DAY_S = 3600.0, 86_400.0
 BACK_S = (HOUR_S, DAY_S, 7 * DAY_S, 31 * DAY_S, 366 * DAY_S)
-"""How far to look back, in seconds, step by step until the beginning is found."""
+"""The seconds to look back, step by step until the beginning is found."""
 
 StatusWords = Callable[[str, int, UnixTime, UnixTime], Awaitable[Sequence[WordSpan]]]
 """A function that returns the stored status bits of a unit in a span, in order. It may raise StoreError."""
@@ -320,7 +320,7 @@ class OnsetLookup:
     _changed: Callable[[str, int], None]
     _clock: Clock
     _looked: dict[OnsetKey, int] = field(default_factory=dict)
-    """How often each open onset was looked up."""
+    """The number of lookups of each open onset."""
     _requested: set[tuple[str, int]] = field(default_factory=set)
     """The units whose last response before this start has been looked up."""
 

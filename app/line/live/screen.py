@@ -259,7 +259,7 @@ def _says_since(alarm: Fields, cause: Cause | None, bus: str, unit: int) -> bool
 
 @dataclass(slots=True)
 class Screen:
-    """What the pages in one language show now."""
+    """The present content of the pages in one language."""
 
     live: LiveState
     translator: Translator

@@ -24,7 +24,7 @@ class Drifted(NamedTuple):
 
 
 class HeldControl(Protocol):
-    """Control of a bus that an account holds. ``used_at``: when it last sent a command, monotonic."""
+    """The control of a bus by an account. ``used_at``: monotonic time of its last command."""
 
     @property
     def holder(self) -> str: ...
@@ -34,9 +34,9 @@ class HeldControl(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BusControl:
-    """Control of a bus as every page shows it. ``holder``: an account, empty if control is free. ``since``,
-    ``lapses_at`` and ``request_until``: Unix time in seconds. ``request``: the state of the request of
-    ``requester``, empty without one."""
+    """The control of a bus as every page shows it. ``holder``: an account, empty if control is free.
+    ``since``, ``lapses_at`` and ``request_until``: Unix time in seconds. ``request``: the state of the
+    request of ``requester``, empty without one."""
 
     bus: str
     holder: str = ""
@@ -48,17 +48,17 @@ class BusControl:
 
     @property
     def holder_shown(self) -> str | Message:
-        """Return the holder, in the reader's language if it is a program."""
+        """The holder, in the reader's language if it is a program."""
         return account_shown(self.holder)
 
     @property
     def requester_shown(self) -> str | Message:
-        """Return who requests control, in the reader's language if it is a program."""
+        """The requester of control, in the reader's language if it is a program."""
         return account_shown(self.requester)
 
     @property
     def key(self) -> str:
-        """Return a text that changes with what a page shows; the time left is not in it."""
+        """A text that changes with the shown control; the time left is not in it."""
         return "\n".join((self.bus, self.holder, f"{self.since:.3f}", self.requester, self.request))
 
 
@@ -89,7 +89,7 @@ class GoldenDrift(Protocol):
 
 
 class LineFields(Protocol):
-    """All lines, those of other servers too, as fields in the reader's language."""
+    """The lines, those of other servers too, as fields in the reader's language."""
 
     def shown(self, translator: Translator) -> dict[str, Fields]:
         """Return the fields of each line, by its group."""

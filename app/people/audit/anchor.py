@@ -214,7 +214,7 @@ class Anchoring:
     ) -> None:
         self.status = AnchorStatus()
         self.compared_at: UnixTime | None = None
-        """When the file was last found to name the newest entry."""
+        """The time when the file was last found to name the newest entry."""
         self._events = events
         self._path = path
         self._clock = clock

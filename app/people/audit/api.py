@@ -88,7 +88,7 @@ class EventShown(BaseModel):
 
 
 class EventPage(BaseModel):
-    """Events newest first. ``next`` is the ``before`` of the next page, null at the end."""
+    """The events, newest first. ``next`` is the ``before`` of the next page, null at the end."""
 
     events: list[EventShown]
     next: int | None

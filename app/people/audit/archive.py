@@ -224,7 +224,7 @@ class EventArchive:
         monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self.failing: Message | None = None
-        """Why the last attempt to archive old events failed; mostly None."""
+        """The reason why the last attempt to archive old events failed; usually None."""
         self._database, self._events = database, events
         self._folder, self._keep, self._zone = folder, keep_months, zone
         self._clock, self._monotonic = clock, monotonic

@@ -33,7 +33,7 @@ from bus.instants import UnixTime
 from bus.messages import LIST, NUMBER, TERM, TEXTS, Message
 
 Event = dict[str, Any]
-"""One event with its result, as :func:`readable` returns it."""
+"""An event with its result, as :func:`readable` returns it."""
 EventKind = Literal[
     "access_refused",
     "alarm",
@@ -170,7 +170,7 @@ def frames_of(text: str) -> list[FrameRecord] | None:
 
 
 KEY_BYTES = 32
-"""Bytes of a key, as many as a hash has: fewer are discouraged (RFC 2104, 3), and more add nothing."""
+"""The bytes of a key, as many as a hash has: fewer are discouraged (RFC 2104, 3), more add nothing."""
 BEGINNING = "0" * 64
 """The hash before the first entry of a log."""
 FIELDS = (
@@ -209,7 +209,7 @@ class KeyOrigin:
 
 @dataclass(frozen=True)
 class KeyRing:
-    """All keys with which a log was ever sealed, the newest last, which seals new entries."""
+    """The keys with which a log was ever sealed, the newest last, which seals new entries."""
 
     keys: tuple[bytes, ...]
     origin: KeyOrigin = KeyOrigin()

@@ -79,7 +79,7 @@ class Walk:
         self._rank = max((rank for rank in ranks if rank is not None), default=0)
         self._broken = 0
         self.fault: Message | None = None
-        """Why the entries so far are not intact; None if they are."""
+        """The reason why the entries so far are not intact; None if they are."""
 
     def follow(self, entries: Iterable[Mapping[str, Any]]) -> None:
         """Verify the next entries in order, up to the first broken one."""

@@ -68,7 +68,7 @@ _Withdrawal = Callable[[], Coroutine[Any, Any, None]]
 
 
 class Identify:
-    """ASGI middleware that finds the `Caller` of every request and handshake, or refuses it, and records
+    """The ASGI middleware that finds the `Caller` of every request and handshake, or refuses it, and records
     refusals.
 
     Only public paths are open without a caller. An invalid token is refused even if the demo needs none. A

@@ -39,7 +39,7 @@ class User:
     weak_secret: bool = False
     """Whether today's rules refuse the password or PIN, as last used."""
     secret_serial: int = 0
-    """How many passwords or PINs the user has had before this one."""
+    """The number of passwords or PINs that the user has had before this one."""
     company_account: CompanyAccount | None = None
     """The only way in which the user signs in, who then has no password."""
 

@@ -76,7 +76,7 @@ class Key(_Tagged, frozen=True, tag="key"):
 
 
 class Keys(_Tagged, frozen=True, tag="keys"):
-    """All tokens with which programs may sign in."""
+    """The tokens with which programs may sign in."""
 
     keys: list[Key]
 

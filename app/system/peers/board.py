@@ -32,9 +32,9 @@ _RANKS = {level: number for number, level in enumerate((*PRIORITIES, ""))}
 
 @dataclass(eq=False, slots=True)
 class Peer:
-    """Another server. ``number``: distinguishes it from others, its place in the configuration (from 1) if it
-    is there; ``url``: of its pages; ``lines``: its last report by bus, at ``reported_at``, or at ``time`` by
-    its own clock; ``instance``: see `LineBoard`; ``fault``: why it is not read now."""
+    """A server other than this one. ``number``: distinguishes it, its place in the configuration (from 1) if
+    it is there; ``url``: of its pages; ``lines``: its last report by bus, at ``reported_at``, or at ``time``
+    by its own clock; ``instance``: see `LineBoard`; ``fault``: why it is not read now."""
 
     number: int
     name: str

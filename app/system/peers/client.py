@@ -119,7 +119,7 @@ class LineOfSite(TypedDict):
 
 
 class PeerOfSite(TypedDict):
-    """Another server whose lines are read."""
+    """A server other than this one, whose lines are read."""
 
     name: str
     url: str
@@ -128,7 +128,7 @@ class PeerOfSite(TypedDict):
 
 
 class LinesOfSites(TypedDict):
-    """All lines, the worst first."""
+    """The lines of this server and its peers, the worst first."""
 
     time: Instant
     version: Annotated[str, Field(max_length=60, description="Of this Lineside.")]

@@ -25,8 +25,8 @@ def _server_address(written: str) -> str:
 
 
 class PeerSettings(StrictModel):
-    """Another server. ``token_file``: contains a token of that server with the role viewer; ``ca_file``: the
-    authorities to trust instead of those of the machine."""
+    """A server other than this one. ``token_file``: contains a token of that server with the role viewer;
+    ``ca_file``: the authorities to trust instead of those of the machine."""
 
     name: Annotated[OneLine, Field(min_length=1, max_length=80)]
     url: Annotated[WebUrl, AfterValidator(_server_address)]

@@ -41,7 +41,7 @@ from bus.messages import Message, joined
 from bus.wire.commands import ReadParameterRequest
 
 MOMENT_S = 0.5
-"""How long a unit that missed a request is left alone: its three attempts pass in 0.1 s."""
+"""The seconds for which a unit that missed a request is left alone: three attempts take 0.1 s."""
 
 
 def read_parameters(record: UnitRecord, numbers: Sequence[int], context: CommandContext) -> Procedure:

@@ -100,7 +100,7 @@ class CommandContext:
     time_left_s: float = float("inf")
     """Seconds until the deadline, counted when the command was submitted."""
     exchange_s: float = 0.02
-    """How long one write takes on this bus, in seconds."""
+    """The seconds that one write takes on this bus."""
     overdue: Counter[int] = field(default_factory=Counter)
     """The number of responses of each unit that came after their window since the command began."""
     scales: Mapping[int, UnitScale] = field(default_factory=dict)

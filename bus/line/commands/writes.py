@@ -59,7 +59,7 @@ from bus.wire.commands import (
 )
 
 REREADS = 2
-"""How often a unit is read again when its read-back differs."""
+"""The most repeated reads of a unit whose read-back differs."""
 REREAD_AFTER_S = 0.1
 NO_READBACK = Message("readback_no_response")
 

@@ -54,7 +54,7 @@ VALUES: dict[str, Value] = {
         *(Value(name, "bit", "word", 8 + bit, words) for bit, (name, words) in enumerate(_OUTPUTS.items())),
     )
 }
-"""Every value by its name, as ``GET /api/v1/history`` takes it."""
+"""The values by name, as ``GET /api/v1/history`` takes them."""
 
 
 def unit_settings(bus: BusSettings, number: int) -> UnitSettings:
@@ -254,7 +254,7 @@ _PART = itemgetter(*(Run._fields.index(name) for name in ("at", "until", "word")
 
 
 class Interval(NamedTuple):
-    """All bits of a unit (ST2 * 256 + ST1), which stayed the same from ``at`` until ``until`` (µs)."""
+    """The bits of a unit (ST2 * 256 + ST1), which stayed the same from ``at`` until ``until`` (µs)."""
 
     at: int
     until: int

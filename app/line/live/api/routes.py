@@ -130,7 +130,7 @@ TICKS_OF_ALL = 10
 for tens of milliseconds."""
 HEARTBEAT_TICKS = 50
 AWAY_S = 60.0
-"""How long events are noted after the last program has left, for its return, in seconds."""
+"""The seconds for which events are noted after the last program left, for its return."""
 PAUSE_S = 0.05
 """The pause between two pieces for one program, in seconds; events in between go together."""
 SNAPSHOT_S = 1.0

@@ -421,7 +421,7 @@ class BusShown(WireShown):
 
 
 class Line(TypedDict):
-    """Every bus with its units in floor order."""
+    """The buses with their units in floor order."""
 
     site: str
     time: Time
