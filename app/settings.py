@@ -122,16 +122,16 @@ class ServerSettings(StrictModel):
 
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     port: Annotated[int, Field(strict=True, ge=0, le=65535)] = 8000
-    """0 takes any free port."""
+    """The TCP port; 0 takes any free port."""
     data: Path = Path("data")
-    """Relative to the file; absolute once loaded."""
+    """The data folder, relative to the file; absolute once loaded."""
     trusted_proxies: tuple[TrustedNetwork, ...] = ()
     """Whose X-Forwarded-For, -Proto and -Host are believed."""
     allowed_hosts: tuple[HostName, ...] = ()
     """The names under which the dashboard responds; empty: any."""
     sessions: Sessions = Sessions()
     tls: TlsSettings | None = None
-    """HTTPS and WSS instead of HTTP."""
+    """The settings of HTTPS and WSS; None: HTTP."""
 
     @property
     def is_in_clear(self) -> bool:
@@ -166,7 +166,7 @@ class Settings(StrictModel):
     _file: Path | None = PrivateAttr(None)
     """The configuration file, if it was read from one."""
     _text: str = PrivateAttr("")
-    """Its text as it was read."""
+    """The text of the configuration file as it was read."""
 
     @property
     def opcua_address(self) -> tuple[str, int]:

@@ -85,7 +85,7 @@ Label = Annotated[OneLine, Field(max_length=80)]
 
 
 class UnitLabels(StrictModel):
-    """Names of what is wired to a unit."""
+    """The names of the devices wired to a unit."""
 
     output: dict[Annotated[int, Field(ge=1, le=6)], Label] = {}
     input: dict[Literal["run", "estop", "preset", "reverse", "up", "down", "slave"], Label] = {}

@@ -39,11 +39,11 @@ def composed(text: str) -> str:
 
 
 OneLine = Annotated[str, AfterValidator(lambda text: _seen(text, frozenset()))]
-"""A name or a reason."""
+"""The type of a text on one line, such as a name or a reason."""
 TypedText = Annotated[str, AfterValidator(composed)]
 """A text that a person types to find a name."""
 Lines = Annotated[str, AfterValidator(lambda text: _seen(text, _BREAKS))]
-"""A comment."""
+"""The type of a text of several lines, such as a comment."""
 
 
 def _seen(text: str, allowed: frozenset[str]) -> str:

@@ -73,11 +73,11 @@ class Scale(StrEnum):
 
     PLAIN = "plain"
     SPEED = "speed"
-    """Display units with #3 decimals."""
+    """The integer is display units with #3 decimals."""
     SPEED_OR_RATIO = "speed or ratio"
     """Display units in a master; in a follower a ratio with four decimals."""
     RATIO = "ratio"
-    """Four implied decimals: 10000 is 1.0000."""
+    """The integer has four implied decimals: 10000 is 1.0000."""
     TENTHS = "tenths of a second"
     BAUD = "hundreds of baud"
 

@@ -84,7 +84,7 @@ class BusAction(TaggedStruct, frozen=True):
     returns_values: ClassVar[bool] = False
     """Whether the result has values of parameters, those of ``only_unit``."""
     most_frames: ClassVar[int] = 300
-    """The most frames of the result."""
+    """The most frames that the result has."""
 
     @property
     def units(self) -> tuple[int, ...]:

@@ -164,7 +164,7 @@ class ProbeOutcome:
 
     @property
     def no_response(self) -> bool:
-        """Whether nothing came at all."""
+        """Whether no byte came."""
         return self.reply is None and self.noise == NO_NOISE
 
 

@@ -121,7 +121,7 @@ class CurrentExchange(msgspec.Struct):
         return self.garbled or self.unexpected or self.late > 0
 
     def result(self, clock: LineClock) -> ExchangeResult:
-        """Return how the exchange ended."""
+        """Return the result of the exchange."""
         exchange = self.exchange
         responded_at = clock.epoch(min(self.ended, self.last_moment)) if exchange.reply is not None else None
         # Bytes that never became a frame are noise too: two units at one address may sound like that.
@@ -237,7 +237,7 @@ class Link:
         self._forget()
 
     def _forget(self) -> None:
-        """Forget everything that came in before."""
+        """Forget all bytes that came in before."""
         self._overdue: list[int] = []
         self._decoder = FrameDecoder(self._dialect)
         self._pending = PendingByUnit(self._dialect)

@@ -204,7 +204,7 @@ class OpenPort(Protocol):
         """Deliver bytes at once if ``now``, else let them gather until the next call."""
 
     def drop_output(self) -> None:
-        """Drop what has not left yet."""
+        """Drop the bytes that have not left yet."""
 
     def retune(self, baud: int) -> None:
         """Continue at ``baud``. Raise WireError if the port cannot."""

@@ -41,7 +41,7 @@ class LineNoise(msgspec.Struct, frozen=True):
     """Everything else that came in while a response was awaited."""
 
     garbled: bool = False
-    """Whether bytes came that are no frame."""
+    """Whether bytes came that are not a frame."""
     unexpected: bool = False
     """Whether valid frames came that no unit gives as this response."""
     late: int = 0

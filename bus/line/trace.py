@@ -77,7 +77,7 @@ class Trace:
 
     @property
     def size(self) -> int:
-        """The bytes in use."""
+        """The number of bytes that the trace uses."""
         return sum(len(piece.packed) for piece in self._pieces)
 
     def _drop_old(self, now: UnixTime) -> None:

@@ -131,7 +131,7 @@ class PtyPort:
         self._follow_speed = follow_speed
         self._master = self._slave = -1
         self.device = ""
-        """The device itself, behind the link."""
+        """The path of the device, to which the link points."""
         self.plug()
 
     @property

@@ -118,7 +118,7 @@ class Traits:
 
     dialect: Dialect = field(default_factory=Dialect)
     last_parameter: int = 40
-    """20 for a unit with old firmware."""
+    """The last parameter that the unit has; 20 with old firmware."""
     responds_with_written_value: bool = False
     baud_changes: Literal["at once", "at power-up"] = "at power-up"
     turnaround_s: float = 0.0

@@ -144,7 +144,7 @@ class UplinkTls:
         return context
 
     def connection(self, *args: Any, **options: Any) -> ClientConnection:
-        """Make the next connection."""
+        """Make the next connection, whose fault can then be found."""
         self._connection = _LinkConnection(*args, **options)
         return self._connection
 
@@ -220,7 +220,7 @@ class AppRequests(Protocol):
         """Return the complete state that is known now."""
 
     def command(self, command: Command) -> None:
-        """Carry out a command."""
+        """Carry out a command of the app."""
 
     def reserve(self) -> None:
         """Keep the next turn of the wire free, because a write is about to be requested."""

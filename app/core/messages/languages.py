@@ -195,7 +195,7 @@ class Language:
 
     @cached_property
     def point(self) -> str:
-        """The decimal sign."""
+        """The decimal sign of the language."""
         return get_decimal_symbol(locale_of(self.locale))
 
     @cached_property

@@ -167,9 +167,9 @@ class Awaited(Enum):
     """The rest of the headers of a request that has begun."""
     BODY = auto()
     NOTHING = auto()
-    """Nothing: it is the server's turn."""
+    """Nothing is awaited: the server has to act."""
     NEXT = auto()
-    """The next request, or the end."""
+    """The next request, or the end of the connection."""
 
 
 WITHIN_S = {Awaited.FIRST: 20.0, Awaited.HEAD: 20.0, Awaited.BODY: 20.0, Awaited.NEXT: 5.0}
@@ -185,7 +185,7 @@ class Pace:
     received: int = 0
 
     def expect(self, awaited: Awaited, now: float) -> None:
-        """Await something else from now on."""
+        """Begin to await another part of the exchange."""
         self.awaited, self.since, self.received = awaited, now, 0
 
     def is_idle(self, now: float) -> bool:

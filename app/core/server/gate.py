@@ -540,7 +540,7 @@ class Gate(ClientConnection, asyncio.Protocol):
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more is written."""
+        """Whether nothing more is written to the client."""
         return self._ended_at is not None or self.transport.is_closing()
 
     def write(self, data: bytes) -> None:

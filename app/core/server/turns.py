@@ -63,7 +63,7 @@ class LoopTurns:
 
 
 class TooManyWaitingError(Exception):
-    """Raised when the queue is full."""
+    """Raised when the queue of turns is full."""
 
 
 class FairQueue(Generic[K]):

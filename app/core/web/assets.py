@@ -76,7 +76,7 @@ class Asset:
     def __init__(self, body: bytes, media_type: str) -> None:
         self.media_type = media_type
         self.tag = f'"{hashlib.sha256(body).hexdigest()[:16]}"'
-        """Identifies the content."""
+        """The tag that identifies the content."""
         self._form: tuple[bytes, bool | None] = (body, None)
         """The content, and whether it is packed; None: not tried yet."""
 

@@ -69,7 +69,7 @@ class CsvForm:
         return BYTE_ORDER_MARK + self._text([list(self._headings(columns, self.language))])
 
     def rows(self, columns: Sequence[Column], rows: Iterable[Sequence[Cell]]) -> str:
-        """Return lines of the file."""
+        """Return the rows as lines of the CSV file."""
         return self._text(self._cells(columns, row) for row in rows)
 
     def _headings(self, columns: Sequence[Column], language: Language) -> Iterator[str]:

@@ -74,7 +74,7 @@ class Formats:
         return f"{year}-{month:0>2}-{day:0>2}" + (f"T{typed[7].rjust(5, '0')}" if typed[7] else "")
 
     def field_day(self, at: UnixTime | datetime) -> str:
-        """Format a day as a field takes it."""
+        """Format a day for a field of a form."""
         return f"{self.local(at):{self._field_day}}"
 
     def field_minute(self, at: UnixTime | datetime) -> str:

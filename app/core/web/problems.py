@@ -222,7 +222,7 @@ async def _on_error(request: Request | WebSocket, error: Exception) -> Response 
 
 
 def install(app: FastAPI) -> None:
-    """Respond to every kind of failure."""
+    """Add the handlers that respond to every kind of failure."""
     refusals = (Problem, CallerError, StoreError, TooManyWaitingError, HTTPException, RequestValidationError)
     for kind in (*refusals, UnicodeDecodeError, json.JSONDecodeError, Exception):
         app.exception_handler(kind)(_on_error)

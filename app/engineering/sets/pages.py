@@ -369,7 +369,7 @@ async def _planned_again(
 async def start(
     person: Annotated[Person, START.permitted], restores: Restores, restore: KnownRestore, row: Ticks = None
 ) -> Response:
-    """Write the rows that are ticked."""
+    """Write the ticked rows of a restore."""
     restores.select(person, restore, ticked(restore, frozenset(row or ())))
     restores.start(person, restore)
     return RedirectResponse(f"/restores/{restore.id}", 303)

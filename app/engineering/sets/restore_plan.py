@@ -88,7 +88,7 @@ _BOUNDS = ((numbers.ANALOG_IN_LOW, numbers.ANALOG_IN_HIGH), (numbers.ANALOG_OUT_
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """A row to write."""
+    """A parameter to write, with its present and its wanted value."""
 
     number: int
     present: int

@@ -404,7 +404,7 @@ class _UnitMonitor:
         self._observe(self._drift, unit_conditions.PARAMETER_DRIFT.holds(drifted), now)
 
     def observe_figures(self, figures: UnitFigures, now: UnixTime) -> None:
-        """Observe the counters of the unit."""
+        """Observe the alarms that depend on the unit's counters."""
         self._window.see(figures.polls, figures.timeouts + figures.checksum_errors, now)
         if self.is_known:
             self._observe(self._degraded, self._window.judged(unit_conditions.LINK_DEGRADED.holds), now)

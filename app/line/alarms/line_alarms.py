@@ -58,14 +58,14 @@ class ExpiryWatch:
         self.certificate: Message | Literal[False] | None = None
 
     async def follow(self) -> None:
-        """Look every minute, until canceled."""
+        """Check tokens and certificates every minute, until canceled."""
         while True:
             with suppress(StoreError):
                 await self.look()
             await asyncio.sleep(LOOK_EVERY_S)
 
     async def look(self) -> None:
-        """Look once. Raise StoreError."""
+        """Check tokens and certificates once. Raise StoreError."""
         now = self._clock()
         self.token = _first(
             (token.expires_at, token.name)

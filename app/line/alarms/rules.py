@@ -74,7 +74,7 @@ class AlarmFacts:
     changing_since: UnixTime | None = None
     """The time when the condition became other than ``active``, which starts a delay."""
     unknown_since: UnixTime | None = None
-    """Since when the condition is not known."""
+    """The time since which the condition is not known."""
 
     @property
     def base(self) -> BaseState:
@@ -403,7 +403,7 @@ class CountWindow:
         return None if self.total is None or self.faults is None else holds(self.total, self.faults)
 
     def restart(self) -> None:
-        """Count from the next counters on."""
+        """Restart the count with the next counters."""
         self._at = None
 
     def see(self, total: int, faults: int, at: UnixTime) -> None:

@@ -155,7 +155,7 @@ STATUS = {
 
 FramesWanted = Annotated[bool, Query(description="With the frames that carried the command.")]
 _OF_A_PROBLEM = {"code", *ReasonShown.__annotations__}
-"""The members that a problem has anyway."""
+"""The members that every problem has."""
 
 
 def command_response(

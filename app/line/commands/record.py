@@ -125,7 +125,7 @@ class CommandKey:
 MAX_KEPT = 1000
 """The most results kept in memory for senders that repeat a key."""
 MAX_AGE_S = 7 * 86_400.0
-"""The seconds for which a key is stored."""
+"""The seconds for which the key of a command is stored."""
 MAX_OF_A_SENDER = 2000
 """The most stored keys of one sender; the oldest are deleted first."""
 UNREADABLE = Message("result_unreadable")

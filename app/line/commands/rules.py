@@ -326,13 +326,13 @@ def _slows(unit: UnitLive, raw: int, bus: BusLive) -> bool:
 
 
 def check_line(action: SetLine, _: RuleContext) -> None:
-    """Refuse a change without units."""
+    """Raise the refusal of a change without units."""
     if not action.setpoints:
         raise objection("invalid", Message("setpoints_missing"))
 
 
 def check_output(action: WriteOutput, _: RuleContext) -> None:
-    """Refuse an output that no unit has."""
+    """Raise the refusal of an output that no unit has."""
     if action.number not in OUTPUT_NUMBERS:
         raise objection("invalid", Message("no_such_output"), unit=action.unit)
 

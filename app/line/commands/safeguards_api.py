@@ -209,7 +209,7 @@ async def get_control(_: Viewer, guards: Guards) -> ControlShown:
 @router.post("/control")
 @router.post("/control/take", operation_id="take_control_by_name")
 async def take_control(person: Annotated[Person, TAKE_CONTROL.permitted], guards: Guards) -> ControlShown:
-    """Take control, if it is free."""
+    """Take control of the bus, if it is free."""
     await guards.take(person)
     return _control_json(guards)
 
@@ -254,7 +254,7 @@ async def hand_over_control(
 async def release_control(
     person: Annotated[Person, RELEASE_CONTROL.permitted], guards: Guards
 ) -> ControlShown:
-    """Release control."""
+    """Release control of the bus."""
     await guards.release(person)
     return _control_json(guards)
 

@@ -19,7 +19,7 @@ _DIRECTIONS = ("out", "in")
 
 
 def trace_line(frame: Frame) -> str:
-    """Write a frame as a line."""
+    """Return a frame as a line of the trace file."""
     time = datetime.fromtimestamp(float(frame.at), UTC).isoformat(timespec="microseconds")
     meaning = " ".join(frame.meaning.split())
     return f"{time}\t{frame.direction}\t{frame.data.hex(' ').upper()}\t{meaning}"

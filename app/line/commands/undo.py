@@ -313,7 +313,7 @@ _OF_UNIT = {
     "undo_analog": "undo_analog_of",
     "undo_parameter": "undo_parameter_of",
 }
-"""The text that also names the unit."""
+"""The text of an undo that also names the unit."""
 
 
 def _text(action: Action, bus: BusLive, *, names_unit: bool) -> Message:

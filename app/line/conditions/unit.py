@@ -221,7 +221,7 @@ DRAW_OUT_OF_BAND: Condition[DrawPredicate] = Condition(
     group="speed",
     tiles=("draw_out_of_band",),
 )
-"""Judged by each reading of the unit."""
+"""The condition is judged by each reading of the unit."""
 
 VALUE_IMPLAUSIBLE: Condition[ParameterPredicate] = Condition(
     "value_implausible",
@@ -302,7 +302,7 @@ PARAMETER_DRIFT: Condition[Callable[[object], bool]] = Condition(
     means="a parameter differs from the golden set",
     tiles=("drift",),
 )
-"""Judged by the differences of a unit."""
+"""The condition is judged by the unit's differences from its golden set."""
 BLOCKED: Condition[Callable[[object], bool]] = Condition(
     "blocked",
     ("minor", "shift"),
@@ -310,7 +310,7 @@ BLOCKED: Condition[Callable[[object], bool]] = Condition(
     is_alarm=False,
     tiles=("blocked",),
 )
-"""Judged by the reason for a block."""
+"""The condition is judged by the reason for a block."""
 
 OF_UNIT: tuple[Condition[Any], ...] = (
     *BY_READING,

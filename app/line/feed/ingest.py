@@ -204,7 +204,7 @@ class Refused(dict[Message, int]):
     """How many updates of a batch were refused for each reason; mostly empty."""
 
     def count(self, reason: Message, updates: int) -> None:
-        """Count so many more for a reason."""
+        """Add a number of refused updates for a reason."""
         if updates:
             self[reason] = self.get(reason, 0) + updates
 

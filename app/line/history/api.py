@@ -225,7 +225,7 @@ EXPORT: dict[int | str, dict[str, Any]] = {
     },
     **problems(404, 501),
 }
-"""The response of an export."""
+"""The description of the response with an export."""
 
 
 MAX_MARKS = 500

@@ -56,7 +56,7 @@ from app.line.history.tables import BlockKey, StoredTier
 from bus.settings import BusSettings
 
 MAX_READINGS = 100_000
-"""With more readings a chart uses minutes."""
+"""The most readings of a chart; with more it uses minutes."""
 MAX_INTERVALS = 50_000
 MARGIN = MINUTE
 Resolution = Literal["readings", "minutes", "hours"]

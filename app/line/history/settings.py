@@ -1,4 +1,4 @@
-"""``[history]`` of lineside.toml."""
+"""The table ``[history]`` of lineside.toml."""
 
 from __future__ import annotations
 

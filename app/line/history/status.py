@@ -57,7 +57,7 @@ class DiskReserve:
     """The free bytes below which each measure is taken."""
 
     announce: int = 2_000 * _MB
-    """Warn on every page that shows history."""
+    """The free bytes below which every page with history has a warning."""
     trim: int = 500 * _MB
     """Give up the oldest readings; minutes and hours stay."""
     pause: int = MIN_FREE_OF_OTHERS

@@ -428,7 +428,7 @@ def raw_from(connection: StoreConnection) -> int:
 
 
 def write_raw_from(connection: StoreConnection, at: int) -> None:
-    """Give up readings before a time, µs."""
+    """Give up the readings before a time, µs."""
     connection.execute(upsert("fact", ("name",), ("value",)), ("raw_from", at))
 
 

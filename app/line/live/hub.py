@@ -86,7 +86,7 @@ class Flow:
         self._gap_s = pages / MAX_SENDS_S if pages > FEW_PAGES else 0.0
 
     def came(self, units: int = 1) -> None:
-        """Note that so many units have changed."""
+        """Note the number of units that have changed."""
         now = self.clock()
         if now - self._began >= WINDOW_S:
             self._flooded = self._count > FLOOD and now - self._began < 2 * WINDOW_S
@@ -168,7 +168,7 @@ class Broadcast:
     _due: asyncio.TimerHandle | None = None
 
     def join(self, browser: Browser) -> None:
-        """Add a browser; send it a snapshot."""
+        """Add a browser, and send it a snapshot."""
         self.browsers.append(browser)
         self.send_snapshot(browser)
 
@@ -272,7 +272,7 @@ class Hub:
 
     @property
     def connected(self) -> int:
-        """How many pages are open now."""
+        """The number of open pages."""
         return sum(len(broadcast.browsers) for broadcast in self._broadcasts.values())
 
     def people(self) -> dict[str, str]:

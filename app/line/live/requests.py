@@ -60,7 +60,7 @@ class Admission:
         return True
 
     def leave(self, account: str, address: str) -> None:
-        """Count one less."""
+        """Count one page or stream less."""
         for counter, key in ((self._by_account, account), (self._by_address, address)):
             counter[key] -= 1
             if not counter[key]:

@@ -226,7 +226,7 @@ class Anchoring:
         self._one_at_a_time = asyncio.Lock()
 
     async def follow(self) -> None:
-        """Export every minute, until canceled."""
+        """Write the anchor every minute, until canceled."""
         while True:
             await self.export()
             await asyncio.sleep(EVERY_S)

@@ -73,7 +73,7 @@ class Walk:
         self._archived = archived
         self._anchors = {number: hash_ for number, hash_ in (anchors or {}).items() if number > archived}
         self.ends = dict(start or {})
-        """The end of each chain so far."""
+        """The last entry of each chain so far."""
         self._number = newest_of(self.ends.values()).id
         ranks = (ring.rank(head.key) for head in self.ends.values())
         self._rank = max((rank for rank in ranks if rank is not None), default=0)

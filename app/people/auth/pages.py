@@ -213,7 +213,7 @@ async def log_out(
 
 @router.get("/account")
 async def account_page(request: Request, _: Viewer, done: str = "") -> HTMLResponse:
-    """Show one's own language and password."""
+    """Show the forms for one's own language and password."""
     return _account(request, done=done)
 
 

@@ -210,7 +210,7 @@ class Provider:
             raise NotAdmittedError("away", str(self.fault)) from None
 
     async def close(self) -> None:
-        """Close the connections."""
+        """Close the connections to the provider."""
         if self._client is not None:
             await self._client.aclose()
 

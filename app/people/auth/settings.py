@@ -18,10 +18,10 @@ class Sessions(StrictModel):
     """The duration of a sign-in: since it was last used, and in all."""
 
     idle_hours: Annotated[float, Field(strict=True, ge=0.25, le=168)] = 12
-    """A shift and its overlap."""
+    """The hours since its last use that a session lasts: a shift and its overlap."""
     total_days: Annotated[float, Field(strict=True, ge=0.04, le=90)] = 7
     panel_idle_days: Annotated[float, Field(strict=True, ge=0.04, le=365)] = 90
-    """A panel on the wall stays signed in."""
+    """The same in days for a panel on the wall, which stays signed in."""
     panel_total_days: Annotated[float, Field(strict=True, ge=0.04, le=3650)] = 365
 
     @model_validator(mode="after")
@@ -55,7 +55,7 @@ class OidcSettings(StrictModel):
     client_secret_file: Path
     """Relative to the configuration; absolute once loaded."""
     roles: Annotated[dict[ShortName, ProviderRole], Field(min_length=1, max_length=200)]
-    """By group of the provider."""
+    """The role for each group of the provider."""
     groups_claim: ShortName = "groups"
     name_claim: ShortName = "preferred_username"
     scopes: Annotated[tuple[ShortName, ...], Field(max_length=20)] = ("openid", "profile", "email")

@@ -150,7 +150,7 @@ class Throttle:
             self._names_of(attempt).kept(attempt.name).pour(1, now)
 
     def failed(self, attempt: Attempt, now: Monotonic) -> None:
-        """Count a wrong secret."""
+        """Count a wrong password or PIN."""
         failures = self._pairs.kept(attempt.pair)
         failures.count, failures.at = failures.recent(now) + 1, now
         if not attempt.own_browser:

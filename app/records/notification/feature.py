@@ -129,7 +129,7 @@ async def begin_maintenance(
     bus: Annotated[str, Form(max_length=80)] = "",
     reason: Annotated[OneLine, Form(max_length=200)] = "",
 ) -> Response:
-    """Notify nothing for a time."""
+    """Begin a maintenance: nothing is notified for a time."""
     if not reason.strip():
         typed = {"bus": bus, "minutes": str(minutes), "fault": Message("maintenance_needs_reason")}
         return await _page(request, notification, refused=typed)

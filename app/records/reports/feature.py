@@ -126,7 +126,7 @@ SPANS: dict[SpanName, Message] = {
     "week": term("Last 7 days"),
 }
 _PLACE = b"<!-- report -->"
-"""Where a page has its report."""
+"""The mark at which a page gets its report."""
 _FILES = {"html": "report.html", "units": "units.csv", "stops": "stops.csv"}
 
 

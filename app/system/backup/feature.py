@@ -1,4 +1,4 @@
-"""The backups of the server."""
+"""The feature of the server's backups."""
 
 from __future__ import annotations
 

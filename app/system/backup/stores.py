@@ -283,7 +283,7 @@ def _counted(content: bytes, password: bytes) -> bytes:
 IN_CLEAR, ENCRYPTED = "files.json", "files.encrypted"
 MAX_FILE_BYTES = 4 * 2**20
 MAX_BYTES = 64 * 2**20
-"""The most bytes of the member."""
+"""The most bytes of the member with the files."""
 
 
 class SiteFile(msgspec.Struct):

@@ -179,7 +179,7 @@ class ViewerSession(InternalSession):
     # --- refusal of changes ---
 
     async def write(self, params: Any) -> Any:
-        """Refuse to write."""
+        """Refuse to write any node."""
         self.iserver.refusals.note("write", self.name)
         return [ua.StatusCode(ua.StatusCodes.BadNotWritable) for _ in params.NodesToWrite]
 

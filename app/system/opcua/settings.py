@@ -18,7 +18,7 @@ ShortText = Annotated[OneLine, Field(max_length=100)]
 
 
 class OpcuaSettings(StrictModel):
-    """The OPC UA server."""
+    """The settings of the OPC UA server."""
 
     host: Annotated[OneLine, Field(max_length=253)] = ""
     """The address at which it listens; empty: that of the dashboard."""

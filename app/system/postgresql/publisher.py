@@ -113,7 +113,7 @@ class Publisher:
         self.status = PublisherStatus(to.place, clock())
 
     async def follow(self) -> None:
-        """Publish until canceled."""
+        """Publish stored data until canceled."""
         try:
             while True:
                 wait_s = await self._attempt()

@@ -49,7 +49,7 @@ class Wait(msgspec.Struct, frozen=True):
 
 
 class ReportProgress(msgspec.Struct, frozen=True):
-    """A report of how far a command is."""
+    """A report of the stage of a command."""
 
     stage: Stage
     unit: int | None = None
@@ -125,7 +125,7 @@ class Priority(IntEnum):
     WRITE = 0
     READ = 1
     SLOW = 2
-    """Sent only in the gaps of the scan."""
+    """The priority of a command that is sent only in the gaps of the scan."""
 
 
 EVERY_UNIT = frozenset(range(256))
@@ -140,7 +140,7 @@ class CommandRun:
     priority: Priority
     units: frozenset[int]
     deadline: Monotonic
-    """On the line's clock."""
+    """The deadline by the line's clock."""
     context: CommandContext
     begin: Callable[[], Procedure]
     on_effect: Callable[[LineEffect], None]

@@ -38,7 +38,7 @@ WIDTHS = tuple(
     )
     for factor in factors
 )
-"""Round widths, µs."""
+"""The round widths of a chart's spans, µs."""
 
 
 @dataclass(slots=True)

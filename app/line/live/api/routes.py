@@ -313,7 +313,7 @@ _REF = "#/components/schemas/"
 
 @document_router.get("/api/v1/asyncapi.json")
 async def asyncapi(request: Request, _: Viewer, alarm: Annotated[AlarmType, service(AlarmType)]) -> Response:
-    """Return the description of the stream."""
+    """Return the AsyncAPI document of the stream of events."""
     description = await parse_apart(partial(_rendered_once, alarm))
     return description.response(request, "no-cache")
 
