@@ -34,13 +34,13 @@ class Bucket:
         return True
 
     def pour(self, amount: float, now: Monotonic) -> float:
-        """Add ``amount`` (below 0: take out), even beyond the capacity; return for how many seconds nothing
+        """Add ``amount`` (below 0: take out), even beyond the capacity; return the seconds in which nothing
         more should come."""
         self._level = max(0.0, self.level(now) + amount)
         return max(0.0, self._level - self.capacity) / self.per_s
 
     def wait_s(self, now: Monotonic, amount: float = 1.0) -> float:
-        """Return in how many seconds ``amount`` more fits; 0.0 if it fits now."""
+        """Return the seconds until ``amount`` more fits; 0.0 if it fits now."""
         return max(0.0, self.level(now) + amount - self.capacity) / self.per_s
 
     def fill(self, now: Monotonic) -> None:

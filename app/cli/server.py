@@ -166,7 +166,7 @@ class OnlyFeed:
 
 
 def _raise_file_limit() -> int:
-    """Raise the limit of open files as far as the system allows and is useful; return how many may be
+    """Raise the limit of open files as far as the system allows and is useful; return the number that may be
     sockets."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     allowed = ENOUGH_FILES if hard == resource.RLIM_INFINITY else min(ENOUGH_FILES, hard)

@@ -83,8 +83,8 @@ class Pipeline:
             live.apply([BusLink(at=at, link="closed", cause=reason)])
 
     def updates_refused(self, at: UnixTime, counts: Mapping[Message, int]) -> None:
-        """Record how many updates of a worker were refused for each reason; events of a reason are summed
-        up."""
+        """Record the number of updates of a worker that were refused for each reason; events of a reason are
+        summed up."""
         what = Message("event_updates_refused")
         for reason, count in counts.items():
             refused = LineEvent("worker", None, at, what, "", "", reason, reason.code, count)

@@ -64,7 +64,7 @@ class Found:
 
 
 def remarks_on(one: Found, *, garbled: int, requests: int, uncertain: bool) -> tuple[Message, ...]:
-    """Return remarks about a DIGIMAX IV. ``garbled``: how many of ``requests`` had noise; ``uncertain``:
+    """Return remarks about a DIGIMAX IV. ``garbled``: the number of ``requests`` with noise; ``uncertain``:
     whether some had no response."""
     remarks = _on_its_address(one)
     last = len(one.parameters)
@@ -307,7 +307,7 @@ class Examination:
         return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS_OR_ELSE,))
 
     def _surplus(self) -> tuple[int, int]:
-        """Return how many responses were late, at most one for each request without one, and how many are
+        """Return the number of late responses, at most one for each request without one, and the number of
         duplicates."""
         awaited = late = doubled = 0
         for outcome in self.outcomes:

@@ -331,7 +331,7 @@ class Link:
         return current.is_ordinary
 
     def _least_s(self, exchange: Exchange) -> float:
-        """Return how many seconds the request and its response take on the wire at least."""
+        """Return the least seconds that the request and its response take on the wire."""
         return (len(exchange.sent) + len(exchange.frame)) * self._byte_s
 
     def _exchange(self, request: Request, dialect: Dialect | None, pending: PendingResponses) -> Exchange:

@@ -158,7 +158,7 @@ class Opener:
         return pause_s
 
     def _failed(self, failure: WireError, took_s: float) -> float:
-        """Return in how many seconds to try again; an absent port is tried twice a second."""
+        """Return the seconds until the next attempt; an absent port is tried twice a second."""
         pause_s = RETRY_S if took_s < RETRY_S else 0.0
         if isinstance(failure, EndedWhileOpening):
             pause_s = self._backoff.ended(0.0)

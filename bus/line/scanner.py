@@ -95,8 +95,8 @@ class ScanPort:
         self._window.attach(port, self._byte_s)
 
     async def listen(self, seconds: float) -> int:
-        """Return how many bytes arrive in ``seconds`` without a request. Raise WireError if the port is
-        lost."""
+        """Return the number of bytes that arrive in ``seconds`` without a request. Raise WireError if the
+        port is lost."""
         self._unrequested_bytes = 0
         await asyncio.sleep(seconds)
         self._check()
@@ -171,7 +171,7 @@ ALLOWANCE = 2.0
 
 
 class SlowUnitError(Exception):
-    """Raised for a unit that takes as long as it is allowed, or longer; ``allowance_s``: allow so long."""
+    """Raised for a unit that is at least as slow as allowed; ``allowance_s``: the seconds to allow."""
 
     def __init__(self, turnaround_s: float) -> None:
         super().__init__(turnaround_s)

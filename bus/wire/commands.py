@@ -180,7 +180,7 @@ _FRAME_OVERHEAD = 5
 
 
 def acknowledged_lengths(request: Request, dialect: Dialect) -> frozenset[int]:
-    """Return how many data bytes an ACK to ``request`` may carry."""
+    """Return the number of data bytes that an ACK to ``request`` may carry."""
     width = dialect.parameter_reply_bytes
     if width and request.COMMAND == ReadParameterRequest.COMMAND:
         return frozenset((width,))

@@ -175,7 +175,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return PendingResponses(self.unit, self.dialect, self.outstanding)
 
     def _is_a_long_run(self, position: int) -> bool:
-        """Return whether so many equal reads begin at ``position`` that more of them are not kept."""
+        """Return whether a run of equal reads begins at ``position`` of which no more are kept."""
         run = self.outstanding[position : position + LONG_RUN] if position >= 0 else ()
         return len(run) == LONG_RUN and not is_write(run[0]) and all(sent == run[0] for sent in run)
 

@@ -141,8 +141,8 @@ class Outbox:
 
 
 def _weight(update: Update) -> int:
-    """Return how many updates an update counts for: a result with a piece of the trace is as large as
-    many."""
+    """Return the number of updates for which an update counts: a result with a piece of the trace is as large
+    as many."""
     return 1 + len(update.frames) // FRAMES_OF_ONE if isinstance(update, Result | Frames) else 1
 
 

@@ -195,7 +195,7 @@ REFUSED_PAUSE_S = 5.0
 NEXT_PAUSE_S = 1.0
 """The pause after a refusal if there is another address, in seconds."""
 STALLED_S = 4.0
-"""An app sends its time every second; after so long a silence the worker goes to the next of several."""
+"""The seconds of silence after which the worker goes to the next app; an app sends each second."""
 MESSAGES_PER_S, MAX_MESSAGES_AT_ONCE = 500.0, 2_000.0
 """The rate of messages accepted from the app; more wait in the socket, and polling continues."""
 OPEN_TIMEOUT_S = 5.0

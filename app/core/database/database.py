@@ -87,7 +87,7 @@ class Database:
             return work(self._reader())
 
     def give_back(self, pages: int) -> None:
-        """Return so many pages of deleted rows to the disk. For the writer's own thread."""
+        """Return ``pages`` of deleted rows to the disk. For the writer's own thread."""
         vacuum = f"PRAGMA incremental_vacuum({pages})"
         self.write_now(lambda connection: connection.execute(vacuum).fetchall())
 

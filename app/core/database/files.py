@@ -171,7 +171,7 @@ def _others_can_write(folder: Path) -> bool:
 
 
 def free_bytes(folder: Path) -> int:
-    """Return how many bytes this user may still write on the disk of a folder."""
+    """Return the bytes that this user may still write on the disk of a folder."""
     found = os.statvfs(folder)
     return found.f_bavail * found.f_frsize
 

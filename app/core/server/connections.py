@@ -114,7 +114,7 @@ class Connections:
                 del groups[key]
 
     def count(self, *, known: bool) -> int:
-        """Return how many connections of accounts, or of strangers, are open."""
+        """Return the number of open connections of accounts, or of strangers."""
         return sum(map(len, (self._known if known else self._strangers).values()))
 
     def _add(self, connection: ClientConnection) -> None:
@@ -150,7 +150,7 @@ class Handshakes:
         self._buckets: dict[str, tuple[Bucket, Bucket]] = {}
 
     def wait_s(self, account: str, now: Monotonic) -> float:
-        """Return how many seconds one more handshake of ``account`` has to wait."""
+        """Return the seconds that one more handshake of ``account`` has to wait."""
         fresh = (
             Bucket(HANDSHAKES_A_SECOND, MAX_HANDSHAKES_AT_ONCE),
             Bucket(HANDSHAKES_TOGETHER_A_SECOND, MAX_HANDSHAKES_TOGETHER),

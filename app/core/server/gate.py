@@ -54,7 +54,7 @@ TICK_S = 0.05
 SOON_S = 0.001
 """The seconds until the first tick after a stall, which separates later arrivals from those during it."""
 ORDINARY_TURN_S = 0.15
-"""A loop that ticked within so many seconds has not stood still."""
+"""The seconds since its last tick within which a loop has not stood still."""
 
 
 class LoopWatch:
@@ -128,8 +128,8 @@ REPORT_EVERY_S = 0.01
 TURN_S = 0.0003
 """The seconds after which no further slice is parsed in this turn: one of chunks of a byte takes as long."""
 MAX_HELD_BYTES, MAX_HELD_PARTS = 64 * 1024, 64
-"""The limit of data that waits in the gate; more waits in the system. A part may be a single byte: beyond so
-many parts, further data gets the time of the last."""
+"""The limit of data that waits in the gate; more waits in the system. A part may be a single byte: beyond the
+most parts, further data gets the time of the last."""
 RECEIVE_BUFFER_BYTES = 64 * 1024
 """The bytes that the system receives on a connection before it is read."""
 MAX_HEAD_BYTES, MAX_HEADERS = 32 * 1024, 100

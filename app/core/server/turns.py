@@ -109,7 +109,7 @@ class FairQueue(Generic[K]):
                 self._end(key)
 
     def count_of(self, key: K) -> int:
-        """Return how many turns a key has, those that wait included."""
+        """Return the number of turns of a key, those that wait included."""
         return self._busy[key] + sum(waiting.count_of(key) for waiting in self._waiting.values())
 
     async def _wait(self, key: K, known: bool) -> None:

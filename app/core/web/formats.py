@@ -41,7 +41,7 @@ _TYPED_TIME = re.compile(
 
 
 _RECENT = ((term("Today"), 0, 0), (term("Yesterday"), 1, 1), (term("Last 7 days"), 6, 0))
-"""Spans of days, each with how many days ago it begins and ends."""
+"""Spans of days; each begins and ends a number of days ago."""
 
 
 class Formats:

@@ -262,8 +262,8 @@ def _replaying(body: bytes, receive: Receive) -> Receive:
 
 @dataclass(frozen=True, slots=True)
 class RateLimit:
-    """A limit of a rate, for the ``RateLimit`` headers. ``limit``: so many at once; ``remaining``: so many
-    now; ``reset_s``: seconds until all are there again.
+    """A limit of a rate, for the ``RateLimit`` headers. ``limit``: the most at once; ``remaining``: the
+    number left now; ``reset_s``: seconds until all are there again.
 
     The three headers are those of the IETF draft "RateLimit header fields for HTTP" up to its version 6,
     which clients and gateways read. Its later versions have one structured field, which few read.

@@ -170,7 +170,7 @@ def _summary(found: list[DriftedParameter], formats: Formats, now: UnixTime) -> 
 
 
 def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
-    """Return each person's last change, newest first, and how many rows they changed."""
+    """Return each person's last change, newest first, with the number of changed rows."""
     by_person: dict[str, list[Event]] = {}
     for one in found:
         if one.change is not None:

@@ -157,7 +157,7 @@ class SiteAlarms:
 
 
 PAUSE_EVERY = 100
-"""After so many alarms of a large change the server gives other work its turn."""
+"""The alarms of a large change after which the server gives other work its turn."""
 
 
 class FoundAlarm(NamedTuple):
@@ -270,7 +270,7 @@ class LineAlarms:
         return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
 
     def count_active(self, bus: str, unit: int) -> int:
-        """Return how many annunciated alarms of a unit are active, as published to the plant's systems."""
+        """Return the number of active annunciated alarms of a unit, as published to the plant's systems."""
         return sum(alarm.facts.active for alarm in self.unit_alarms(bus, unit))
 
     def place(self, bus: str | None, unit: int | None) -> str:
@@ -379,8 +379,8 @@ class AlarmBanner:
         self._changed += 1
 
     def banner(self, translator: Translator) -> Fields:
-        """Return the mark of the first alarm, and how many are active and wait for an acknowledgement. Of
-        alarms as urgent as the first, one that waits comes before the others."""
+        """Return the mark of the first alarm, the number of active alarms, and the number that waits for an
+        acknowledgement. Of alarms as urgent as the first, one that waits comes before the others."""
         found = self._alarms.annunciated()
         first = min(found, key=lambda alarm: (rank(alarm)[:3], not alarm.is_unacknowledged), default=None)
         active, waiting = alarm_counts(
@@ -403,8 +403,8 @@ class AlarmBanner:
         return {"sound": sounding[0].definition.priority, "sound_at": repr(at)}
 
     def unit_fields(self, bus: str, unit: int, translator: Translator, now: UnixTime) -> Fields:
-        """Return the first alarm of a unit, as it is drawn and in words, its page, and how many more there
-        are."""
+        """Return the first alarm of a unit, as it is drawn and in words, its page, and the number of
+        others."""
         found = self._alarms.unit_alarms(bus, unit)
         first = found[0] if found else None
         fields = _state(first, len(found), translator, now)
@@ -415,8 +415,8 @@ class AlarmBanner:
 
 
 def alarm_counts(active: int, waiting: int) -> tuple[Message, Message | None]:
-    """Return how many alarms are active, and how many wait for an acknowledgement, whether active or not;
-    None if none does. Each surface shows these two counts."""
+    """Return the number of active alarms, and the number that waits for an acknowledgement, whether active or
+    not; None if none does. Each surface shows these two counts."""
     if active:
         counted = Message.of("alarms_active", n=active)
     else:
@@ -426,7 +426,7 @@ def alarm_counts(active: int, waiting: int) -> tuple[Message, Message | None]:
 
 def _state(alarm: Alarm | None, count: int, translator: Translator, now: UnixTime) -> Fields:
     """Return the state of the first of ``count`` alarms with its time (of a cleared alarm, when it cleared),
-    how many more there are, and the page of the first."""
+    the number of others, and the page of the first."""
     if alarm is None:
         return {"state": "", "more": "", "at": ""}
     facts = alarm.facts

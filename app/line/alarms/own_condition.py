@@ -1,4 +1,4 @@
-"""Alarms that the site defines: parsed from the text of a person, defined, and judged by readings."""
+"""Alarms that the site defines: parsed from the text of a person, defined, and checked by readings."""
 
 from __future__ import annotations
 

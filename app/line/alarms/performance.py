@@ -17,7 +17,7 @@ from app.line.conditions.condition import PRIORITIES, AlarmPriority
 from bus.instants import UnixTime
 
 WINDOW_S = 600
-"""Rates are judged in windows of ten minutes."""
+"""Rates are measured in windows of ten minutes."""
 DAY_S = 86_400
 MANY = 10
 """The alarms in a window above which a flood begins: a person cannot respond to them."""
@@ -26,7 +26,7 @@ FEW = 5
 CHATTERS_S = 60.0
 """The seconds within which an alarm comes three times if it chatters."""
 FLEETING_S = 10.0
-"""An alarm that clears within so many seconds, before a person could act, is fleeting."""
+"""The seconds within which an alarm clears, before a person could act, if it is fleeting."""
 STALE_S = 24 * 3600.0
 """An alarm that stays active for more seconds is stale."""
 MIN_FOR_TOP_TEN = 200

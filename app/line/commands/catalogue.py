@@ -61,14 +61,14 @@ SCALE_READS = 3
 
 
 def timeout_s_for(bus: BusLive, staged_units: int = 0, *, typed: bool = False) -> float:
-    """Return how many seconds a write may wait to be sent: a change of several units also needs the time of
-    its staging. ``staged_units``: how many, 0 for a single one. ``typed``: its values were not given raw."""
+    """Return the seconds that a write may wait to be sent: a change of several units also needs the time of
+    its staging. ``staged_units``: their number, 0 for one unit. ``typed``: the values were not raw."""
     reads = SCALE_READS if typed else 0
     return DEFAULT_TIMEOUT_S + staged_units * longest_stage_s(bus.baud, bus.settings.turnaround_s, reads)
 
 
 def longest_change_s(bus: BusLive, units: int) -> float:
-    """Return after how many seconds the result of a change of several units is known at the latest, even if
+    """Return the seconds after which the result of a change of several units is known at the latest, even if
     it is withdrawn from each."""
     return 2 * timeout_s_for(bus, units, typed=True)
 

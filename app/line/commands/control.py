@@ -17,7 +17,7 @@ from bus.messages import Message
 LAPSES_AFTER_S = 600.0
 REQUEST_LAPSES_AFTER_S = 60.0
 REQUEST_RESTS_S = 60.0
-"""For so many seconds the end of a request is shown, and a declined one cannot be repeated."""
+"""The seconds for which the end of a request is shown, and a declined request cannot be repeated."""
 RequestState = Literal["pending", "declined", "lapsed"]
 
 
@@ -174,7 +174,7 @@ class Control:
         self._declined.clear()
 
     def _rests_s(self, who: str, now: Monotonic) -> float:
-        """Return for how many seconds an account whose request was declined may not make another."""
+        """Return the seconds for which an account whose request was declined may not make another."""
         declined_at = self._declined.get(who)
         return 0.0 if declined_at is None else declined_at + REQUEST_RESTS_S - now
 

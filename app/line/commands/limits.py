@@ -140,7 +140,7 @@ class Restrictions:
         return self._read_only if monotonic < self._ends_at else None
 
     def read_only_left_s(self, monotonic: Monotonic) -> float:
-        """Return how many seconds the mode lasts, infinite if it has no end, 0 if it is not set."""
+        """Return the seconds that the mode still lasts, infinite if it has no end, 0 if it is not set."""
         return 0.0 if self._read_only is None else max(self._ends_at - monotonic, 0.0)
 
     async def put_limits(self, unit: int, limits: Limits, set_by: str, set_at: UnixTime) -> None:

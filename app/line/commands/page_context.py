@@ -207,7 +207,7 @@ class BusPage(PageContext):
         )
 
     async def has_sent(self, id: str) -> bool:
-        """Return whether the form was sent before: its command is then not judged again, and its result is
+        """Return whether the form was sent before: its command is then not checked again, and its result is
         shown."""
         return (await self._look_up(id)).is_used
 

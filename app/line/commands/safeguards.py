@@ -45,7 +45,7 @@ ACTS = (
 )
 SIGNED_OUT = Message("holder_signed_out")
 REQUEST_EVERY_S, MAX_REQUESTS = 10.0, 6
-"""The rate of requests for control of a bus, and how many at once: each one disturbs a person."""
+"""The rate of requests for control of a bus, and the most at once: each one disturbs a person."""
 AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 """A function that finds the account with a name, and its role; None if there is none."""
 
@@ -138,7 +138,7 @@ class Safeguards:
         await self._record(UNBLOCK, person, before.reason, None, unit)
 
     async def set_read_only(self, person: Person, reason: str, minutes: int | None) -> None:
-        """Refuse every write that could do more than slow a unit, for so many minutes, or until it is ended.
+        """Refuse every write that could do more than slow a unit, for ``minutes``, or until it is ended.
         Raise Problem 403."""
         SET_READ_ONLY.check(person)
         before, now = self.read_only(), unix_now()
@@ -216,7 +216,7 @@ class Safeguards:
             await self._control_changed(REQUEST_CONTROL, person, self.holder(), person.account)
 
     def request_limit(self, person: Person) -> RateLimit:
-        """Return how many more requests for control of this bus a person may make now."""
+        """Return the number of requests for control of this bus that a person may still make now."""
         return RateLimit.of_bucket(self._requests[person.account], monotonic_now())
 
     async def grant(self, person: Person, shown: str | None = None) -> None:

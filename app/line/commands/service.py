@@ -421,7 +421,7 @@ class CommandService:
 
 @contextmanager
 def _later(seconds: float, work: Callable[[], Coroutine[Any, Any, None]]) -> Iterator[None]:
-    """Begin ``work`` after so many seconds, and cancel it at the end of the context: most never begins."""
+    """Begin ``work`` after a delay in seconds; cancel it as the context ends: most never begins."""
     begun: list[asyncio.Task[None]] = []
     timer = asyncio.get_running_loop().call_later(seconds, lambda: begun.append(asyncio.create_task(work())))
     try:

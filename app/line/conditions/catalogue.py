@@ -112,7 +112,7 @@ BACKUP_S = 26 * 3600.0
 PUBLISHER_S = 300.0
 """Seconds, long enough that a restart of the database is no alarm."""
 IN_USE_S = 30 * DAY_S
-"""A token that no program has used for so many seconds is no alarm."""
+"""The seconds without use after which an expiring token raises no alarm."""
 
 
 def certificate_expires(ends_at: UnixTime, now: UnixTime) -> bool:

@@ -180,7 +180,7 @@ DrawPredicate = Callable[[Draw], bool | None]
 LinkPredicate = Callable[[LinkFacts], bool | None]
 BusPredicate = Callable[[BusFacts], bool | None]
 CountPredicate = Callable[[int, int], bool]
-"""A function of the polls of a minute and how many of them had a fault."""
+"""A function of the number of polls in a minute and the number of those with a fault."""
 StatePredicate = Callable[[str], bool]
 
 

@@ -68,7 +68,7 @@ class FeedQuota:
     _values: Bucket = field(default_factory=partial(Bucket, MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE))
 
     def pause_s(self, message: WorkerMessage, size: int, now: Monotonic) -> float:
-        """Count a message of ``size`` bytes; return for how many seconds to read nothing more."""
+        """Count a message of ``size`` bytes; return the seconds for which nothing more should be read."""
         return max(self._updates.pour(cost_of(message), now), self._bytes.pour(size, now))
 
     def admits(self, update: Update, now: Monotonic) -> bool:
@@ -201,7 +201,7 @@ class IngestPosition:
 
 
 class Refused(dict[Message, int]):
-    """How many updates of a batch were refused for each reason; mostly empty."""
+    """The number of updates of a batch refused for each reason; usually empty."""
 
     def count(self, reason: Message, updates: int) -> None:
         """Add a number of refused updates for a reason."""

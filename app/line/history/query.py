@@ -237,7 +237,7 @@ def stored_unit(
 
 
 def estimate(source: StoredUnit, start: int, end: int) -> int:
-    """Estimate how many points the single readings would make."""
+    """Return an estimate of the number of points for single readings."""
     rows = source.connection.execute(
         "SELECT start, span, points FROM raw WHERE unit = ? AND start > ? AND start < ?",
         (source.unit, start - HOUR, end),

@@ -65,7 +65,7 @@ class DiskReserve:
 
 
 def space(free: int, reserve: DiskReserve) -> StoreState:
-    """Return the state of a store on a disk with so many free bytes."""
+    """Return the state of a store on a disk with ``free`` bytes left."""
     if free < reserve.pause:
         return "paused"
     if free < reserve.trim:

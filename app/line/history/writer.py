@@ -53,7 +53,7 @@ MAX_WAITING = 500_000
 
 MAX_REPORTED = 1000
 REPLACE_EVERY_S = 86_400.0
-"""A store that is damaged again within so many seconds is not replaced: the machine is at fault."""
+"""The seconds within which a store that is damaged again is not replaced: the machine is at fault."""
 SHOWN_FOR = 7 * DAY
 """The time for which pages show damage, µs; its event stays."""
 

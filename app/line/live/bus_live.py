@@ -532,12 +532,12 @@ def figures_now(bus: BusLive, now: UnixTime) -> BusFigures | None:
 
 
 def units_staged(bus: BusLive) -> int:
-    """Return how many units hold, or may hold, a staged setpoint."""
+    """Return the number of units that hold, or may hold, a staged setpoint."""
     return sum(unit.staged is not None or unit.staged_unknown for unit in bus.units.values())
 
 
 def draw_of(bus: BusLive, unit: UnitLive, now: UnixTime) -> Draw:
-    """Return the draw of a unit to the one before it. It is judged while both run and neither ramps."""
+    """Return the draw of a unit to the one before it; it counts while both run and neither ramps."""
     seam = bus.seams.get(unit.settings.id)
     if seam is None:
         return NO_DRAW

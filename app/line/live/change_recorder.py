@@ -281,7 +281,7 @@ class ChangeRecorder:
         self._queue.put_nowait(change)
 
     def _note_left_out(self, at: UnixTime) -> None:
-        """Note, after a write that succeeded, how many changes were left out until then."""
+        """Note, after a write that succeeded, the number of changes left out until then."""
         if self._left_out:
             what = Message.of("event_changes_left_out", n=self._left_out)
             self._left_out = 0

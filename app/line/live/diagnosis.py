@@ -51,7 +51,7 @@ from bus.settings import wire_seconds
 
 
 def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
-    """Return the facts by which the conditions of a bus are judged."""
+    """Return the facts that decide the conditions of a bus."""
     patience_s = offline_after_s(scan_s_of(bus))
     lost = unread = 0
     for unit in bus.units.values():
@@ -245,7 +245,7 @@ _COUNTED_AS = {
 
 
 def state_counts(views: Iterable[UnitView]) -> Counter[str]:
-    """Return how many units are in each state, and ``online``. A unit that does not respond is in no
+    """Return the number of units in each state, and ``online``. A unit that does not respond is in no
     state."""
     states = Counter([view.unit.motion.state for view in views if view.link == "online"])
     counts = Counter({"online": states.total()})

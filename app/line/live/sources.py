@@ -106,7 +106,7 @@ AlarmBanner = Callable[[Translator], Fields]
 UnitAlarm = Callable[[str, int, Translator, UnixTime], Fields]
 """A function that returns the first alarm of a unit in the reader's language, all empty without one:
 ``alarm``, its priority, whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``,
-its name; ``alarm_state``, its state with the time that matters; ``alarm_more``, how many more there are;
+its name; ``alarm_state``, its state with the time that matters; ``alarm_more``, the number of others;
 ``alarm_at``, its page."""
 LoadedRecipe = Callable[[], tuple[str, list[str | Message]] | None]
 """A function that returns the recipe a bus loaded last and the units that differ from it since, if any."""

@@ -41,7 +41,7 @@ from bus.messages import Message
 EVERY_S = 3600.0
 """The seconds between two looks whether a month is due, and before the first one."""
 LEFT_S = 86_400.0
-"""A file that was begun so many seconds ago was left by a server that ended."""
+"""The age in seconds at which an unfinished file was left by a server that ended."""
 STEP_S = 60.0
 """A clock that was changed by more seconds is not trusted for an hour."""
 MAX_REMOVED = 200

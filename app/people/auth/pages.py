@@ -70,7 +70,7 @@ FirstAdminService = Annotated[FirstAdmin, service(FirstAdmin)]
 AccountsService = Annotated[Accounts, service(Accounts)]
 SingleSignOnService = Annotated[SingleSignOn, service(SingleSignOn)]
 MAX_NAME = 64
-"""The most characters of a typed name that are stored; no user has one so long."""
+"""The most characters of a typed name that are stored; no user has a longer name."""
 FormText = Annotated[str, Form()]
 TypedName = Annotated[
     str, Form(), AfterValidator(lambda name: composed(name[: 4 * MAX_NAME].strip())[:MAX_NAME])

@@ -69,7 +69,7 @@ class _Failures:
     at: Monotonic = Monotonic(0.0)
 
     def recent(self, now: Monotonic) -> int:
-        """Return how many failures still count."""
+        """Return the number of failures that still count."""
         return self.count if now - self.at < FORGOTTEN_AFTER_S else 0
 
 

@@ -40,7 +40,7 @@ MAX_WAITING_OF_PLACE, MAX_WAITING = 5, 100
 ALL_S = 10.0
 """The seconds that a browser back from the provider waits, for its turn and for the provider."""
 FAILURES, FAILURES_PER_S = 10, 0.2
-"""The failures of one address, at once and per second. Only a browser that makes up codes has so many."""
+"""The failures of one address, at once and per second. Only a browser that invents codes exceeds them."""
 MAX_CODE = 4096
 MAX_GROUPS = 5000
 

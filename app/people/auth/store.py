@@ -211,7 +211,7 @@ def has_own_users(connection: StoreConnection) -> bool:
 
 
 def admins_left(connection: StoreConnection) -> int:
-    """Return how many admins can sign in without a provider."""
+    """Return the number of admins who can sign in without a provider."""
     query = "SELECT count(*) FROM users WHERE role = 'admin' AND disabled = 0 AND issuer IS NULL"
     return int(connection.execute(query).fetchone()[0])
 

@@ -75,7 +75,7 @@ def _day(at: UnixTime, zone: ZoneInfo) -> Shift:
 
 
 def _days_before(at: UnixTime, days: int, zone: ZoneInfo) -> UnixTime:
-    """Return the midnight so many days before that of a moment."""
+    """Return the midnight ``days`` before that of a moment."""
     return _day(_at_minute(at, days, 12 * 60, zone), zone).start
 
 

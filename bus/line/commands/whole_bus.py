@@ -166,7 +166,7 @@ class _Change:
 SHARE = 1 / 3
 """The largest part of the wire that a scan may use: polled units keep two thirds of their rate."""
 OVERDUE = 3
-"""From so many overdue responses on, a garbled one may be one of them that collided with another."""
+"""The overdue responses from which on a garbled one may be one of them, collided with another."""
 
 
 class ScanPace(NamedTuple):

@@ -216,7 +216,7 @@ def proven(
 
 
 def _outcome_of_all(result: Result, units: int) -> OutcomeText:
-    """Word the outcome of a change: how many of its units are verified."""
+    """Return the words for the outcome of a change: the number of its units that are verified."""
     outcome = outcome_text(result)
     if result.outcome == "verified":
         return OutcomeText("good", Message.of("result_of_all", n=units))
@@ -256,7 +256,7 @@ async def review_zero(person: Viewer, page: Page) -> Response:
 
 
 def _longest_s(bus: BusLive, units: int) -> float:
-    """Return how many seconds it can take: all at once, its withdrawal, and then each alone."""
+    """Return the most seconds of a change: all at once, its withdrawal, and then each alone."""
     return longest_change_s(bus, units) + units * timeout_s_for(bus)
 
 

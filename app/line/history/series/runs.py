@@ -303,7 +303,7 @@ def _reach(values: Sequence[int], counts: Sequence[int]) -> tuple[int, int, int]
 
 
 def _counts(words: Iterable[tuple[int, int]]) -> tuple[int, ...]:
-    """Return how many readings have each bit, from words and how many readings have each."""
+    """Return the number of readings with each bit, from words and the number of their readings."""
     on = [0] * BITS
     for word, count in words:
         for bit in range(BITS):
