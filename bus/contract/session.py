@@ -146,12 +146,12 @@ def encode(message: WorkerMessage | AppMessage) -> bytes:
 
 
 def decode_from_worker(data: bytes) -> WorkerMessage:
-    """Decode a message of a worker. Raise MalformedMessageError if it is none, or outside the bounds."""
+    """Decode a worker's message. Raise MalformedMessageError if it is not valid, or outside the bounds."""
     return _decoded(_worker_decoder, data)
 
 
 def decode_from_app(data: bytes) -> AppMessage:
-    """Decode a message of the app. Raise MalformedMessageError if it is none, or outside the bounds."""
+    """Decode a message of the app. Raise MalformedMessageError if it is not valid, or outside the bounds."""
     return _decoded(_app_decoder, data)
 
 

@@ -64,7 +64,7 @@ def programs_of(users: Iterable[tuple[int, str]]) -> list[Message]:
 
 
 def _errno_in(error: Exception) -> int | None:
-    """Return the errno of ``error``, or of its context, where pySerial leaves some; None without one."""
+    """Return the errno of ``error``, or of its context, where pySerial leaves some; None if there is none."""
     for each in (error, error.__context__):
         if each is not None and each.args and isinstance(each.args[0], int):
             return each.args[0]

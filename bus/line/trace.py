@@ -51,7 +51,7 @@ class Trace:
         self.follower: Callable[[TracedFrame], None] | None = None
         """Called with each frame as it passes, while the trace is followed."""
         self.witness: list[TracedFrame] | None = None
-        """The list that receives the frames of the command under way as well; None without one."""
+        """The list that receives the frames of the command under way as well; None if there is none."""
 
     def add(self, passed: TracedFrame) -> None:
         """Keep one frame: without its bytes if it is secret, and only the beginning of endless noise."""

@@ -48,7 +48,7 @@ class CallMember:
 @dataclass(frozen=True, slots=True)
 class Call:
     """A call of the API. ``responses``: their meanings, by status; ``sent``, ``received``: examples of its
-    body and its response, empty without one. ``can_open``: whether a browser can open it without a
+    body and its response, empty if there is none. ``can_open``: whether a browser can open it without a
     parameter."""
 
     id: str

@@ -243,7 +243,7 @@ def _cookie_name(connection: HTTPConnection, name: str) -> str:
 
 
 def cookie_of(connection: HTTPConnection, name: str) -> str:
-    """Return the value of a cookie; empty without one."""
+    """Return the value of a cookie; empty if there is none."""
     return connection.cookies.get(_cookie_name(connection, name), "")
 
 

@@ -94,7 +94,7 @@ def obstacle_of(
     bus: BusLive, unit: UnitLive, now: UnixTime, *, block: Message | None = None
 ) -> Message | None:
     """Return the first reason why the unit cannot take a command now, because the next may disappear with it;
-    None without one. ``block``: why commands to it are blocked."""
+    None if there is none. ``block``: why commands to it are blocked."""
     if block:
         return Message.of("obstacle_blocked", block=block)
     if bus.link.link != "open":

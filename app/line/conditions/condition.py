@@ -221,7 +221,7 @@ class Tuning:
 
     @property
     def fault(self) -> str:
-        """The code of a fault of the limits; empty without one."""
+        """The code of a fault of the limits; empty if there is none."""
         above, below = self.above_percent, self.below_percent
         if above is None:
             return ""

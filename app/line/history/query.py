@@ -206,7 +206,7 @@ class StoredUnit:
         return self._intact("raw", rows, unpack)
 
     def newest(self, tier: StoredTier, end: int, unpack: Unpacking[T]) -> list[T]:
-        """Return the content of the last block that begins before a time, µs; empty without any."""
+        """Return the content of the last block that begins before a time, µs; empty if there is none."""
         query = f"SELECT start, data FROM {tier} WHERE unit = ? AND start < ? ORDER BY start DESC LIMIT 1"
         rows = self.connection.execute(query, (self.unit, end))
         return next((content for _, content in self._intact(tier, rows, unpack)), [])

@@ -141,7 +141,7 @@ def read_journal(connection: StoreConnection) -> Iterator[list[tuple[int, Run]] 
 
 
 def extent(connection: StoreConnection) -> tuple[int, int] | None:
-    """Return the span of all stored data, µs; None without any."""
+    """Return the span of all stored data, µs; None if there is none."""
     rows = [
         connection.execute(f"SELECT min(start), max(start) FROM {name}").fetchone()
         for name in ("hours", "raw")
@@ -151,7 +151,7 @@ def extent(connection: StoreConnection) -> tuple[int, int] | None:
 
 
 def rollups_of(connection: StoreConnection, tier: RollupTier, unit: int, start: int) -> list[Rollup]:
-    """Read one row of a tier; empty without one. Raise DamagedBlock."""
+    """Read one row of a tier; empty if there is none. Raise DamagedBlock."""
     query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
     row = connection.execute(query, (unit, start)).fetchone()
     return [] if row is None else intact(BlockKey(tier, unit, start), lambda: unpack_rollups(row[0], start))

@@ -36,7 +36,7 @@ class HeldControl(Protocol):
 class BusControl:
     """The control of a bus as every page shows it. ``holder``: an account, empty if control is free.
     ``since``, ``lapses_at`` and ``request_until``: Unix time in seconds. ``request``: the state of the
-    request of ``requester``, empty without one."""
+    request of ``requester``, empty if there is none."""
 
     bus: str
     holder: str = ""

@@ -272,7 +272,7 @@ class Head:
 
 
 def newest_of(heads: Iterable[Head]) -> Head:
-    """Return the newest of some entries; number 0 without any."""
+    """Return the newest of some entries; number 0 if there is none."""
     return max(heads, key=lambda head: head.id, default=Head())
 
 

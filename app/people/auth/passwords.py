@@ -170,7 +170,7 @@ def _word(text: str, place: int) -> int:
 
 def _run(text: str, place: int) -> int:
     """Return the length of a run of one character, of characters in alphabetical order, or of evenly spaced
-    digits; 0 for none."""
+    digits; 0 if there is none."""
     if place + 1 >= len(text):
         return 0
     step = ord(text[place + 1]) - ord(text[place])
@@ -183,7 +183,7 @@ def _run(text: str, place: int) -> int:
 
 
 def _walk(text: str, place: int, keys: dict[str, tuple[float, float]]) -> int:
-    """Return the length of a run of neighboring keys; 0 for none."""
+    """Return the length of a run of neighboring keys; 0 if there is none."""
     end = place + 1
     while end < len(text) and _are_neighbors(keys.get(text[end - 1]), keys.get(text[end])):
         end += 1
@@ -197,7 +197,7 @@ def _are_neighbors(one: tuple[float, float] | None, other: tuple[float, float] |
 
 
 def _repeated(text: str, place: int) -> int:
-    """Return the length of a piece that stands earlier in the text; 0 for none."""
+    """Return the length of a piece that stands earlier in the text; 0 if there is none."""
     length = MIN_RUN
     while place + length <= len(text) and text[place : place + length] in text[:place]:
         length += 1

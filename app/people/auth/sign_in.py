@@ -135,7 +135,7 @@ class Throttle:
         self._panels: Bounded[str, Bucket] = Bounded(most, lambda: Bucket(1 / OF_PANEL_EVERY_S, OF_NAME))
 
     def wait_s(self, attempt: Attempt, now: Monotonic) -> float:
-        """Return the seconds that an attempt must wait; 0.0 for none."""
+        """Return the seconds that an attempt must wait; 0.0 if it may begin now."""
         waits = [self._wait_of_pair(attempt, now)]
         if not attempt.own_browser:
             waits.append(self._places.get(attempt.place).wait_s(now))

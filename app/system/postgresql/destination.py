@@ -180,7 +180,7 @@ class Destination:
 
     def extents(self, after: UnixTime) -> list[tuple[int, datetime | None, datetime | None]]:
         """Return the number of events and of readings that the site published from a time on, each with the
-        first and the last instant (None without any). Raise PublishError or SchemaError."""
+        first and the last instant (None if there is none). Raise PublishError or SchemaError."""
         with self._connected() as connection:
             found = []
             for table in (EVENT, READING):

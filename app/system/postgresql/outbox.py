@@ -98,13 +98,13 @@ def read_identity(connection: StoreConnection) -> str:
 
 
 def end_of_logs(connection: StoreConnection) -> tuple[int, int]:
-    """Return the ids of the newest event and of the newest transition of an alarm; 0 without any."""
+    """Return the ids of the newest event and of the newest transition of an alarm; 0 if there is none."""
     query = "SELECT coalesce((SELECT max(id) FROM {}), 0)"
     return tuple(connection.execute(query.format(name)).fetchone()[0] for name in ("events", "alarm_journal"))
 
 
 def end_of_blocks(connection: StoreConnection) -> int:
-    """Return the id of the newest block of readings; 0 without any."""
+    """Return the id of the newest block of readings; 0 if there is none."""
     return int(connection.execute("SELECT coalesce(max(id), 0) FROM raw").fetchone()[0])
 
 

@@ -68,7 +68,7 @@ def text(value: Value, translate: Callable[..., str]) -> str:
 
 
 def label(unit: UnitSettings, value: Value) -> str:
-    """Return the label of the wiring of a value; empty without one."""
+    """Return the label of the wiring of a value; empty if there is none."""
     if value.kind == "analog":
         return unit.labels.analog
     if value.name.startswith("output."):
