@@ -4,7 +4,7 @@ import { lastValue } from "./trends-data.js";
 import { drawing, isBit } from "./trends-values.js";
 
 /** Height of a row of the lanes, and what is below them. */
-const [ROW, GAP] = [22, 6];
+const [ROW, GAP] = [24, 6];
 /** Height of the name of a line, the length of the hair that leads to it, and the room that a name needs. */
 const [NAME, HAIR, LEAST_NAME] = [17, 12, 53];
 /** How much of the height of its lane a bit takes. */
@@ -123,7 +123,7 @@ function lanes(trends) {
     ...notes.flatMap(({ t }, i) =>
       t < range[0] || t > range[1]
         ? []
-        : [item(part("trends__flag", { left: left(t), top: top(rows) }, String(i + 1)), "notes", i)],
+        : [item(part("trends__flag", { left: left(t), top: top(rows) }, part("", {}, String(i + 1))), "notes", i)],
     ),
   ];
 }

@@ -86,12 +86,18 @@ def test_nothing_moves_while_the_story_runs(
         expect(page.locator(".top__alarm")).to_have_attribute("data-is", "urgent waiting")
         site.acknowledge_all()
         expect(page.locator(".top__alarm")).to_have_attribute("data-is", "urgent")
+        silent = page.locator('[data-unit="line/6"]').first
+        remote.do("fault", kind="dead", rate=1, unit=6)
+        expect(silent).to_have_attribute("data-quality", re.compile("stale|offline"))
+        remote.do("clear")
+        expect(silent).to_have_attribute("data-quality", "online")
         if size == PANEL:
             page.locator('[data-unit="line/4"] [data-faceplate]').click()
             expect(page.locator("#faceplate-name")).to_be_visible()
             page.keyboard.press("Escape")
             expect(page.locator("#faceplate")).to_be_hidden()
     finally:
+        remote.do("clear")
         remote.do("input", unit=2, input="estop", on=False)
         remote.do("input", unit=5, input="run", on=True)
         remote.do("mode", unit=7, to="remote")
