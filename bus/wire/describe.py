@@ -65,7 +65,7 @@ class Described:
 
 @dataclass(frozen=True, slots=True)
 class DescribedNoise:
-    """Bytes that are no frame."""
+    """The description of bytes that are not a frame."""
 
     wire: bytes
     meaning: Message

@@ -187,7 +187,7 @@ class FrameDecoder:
 
 
 def _judge(buffer: bytearray) -> _CandidateEnd | None:
-    """Judge the candidate at the head of ``buffer``; None while it may still become a frame."""
+    """Return the end of the candidate at the head of ``buffer``; None while it may still become a frame."""
     body = bytearray()
     at = len(_START)
     while True:

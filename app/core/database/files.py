@@ -177,7 +177,7 @@ def free_bytes(folder: Path) -> int:
 
 
 class Reserve:
-    """Disk space that is kept for commands, so that they are still recorded, and sent, on a full disk.
+    """The disk space that is kept for commands: they are still recorded, and sent, on a full disk.
 
     A file takes the space while there is enough. Before each transaction of the main store it gives up what
     the transaction may need; all other stores stop earlier, at `MIN_FREE_OF_OTHERS`. Only the thread that

@@ -105,7 +105,7 @@ class FixedPlace(NamedTuple):
 
 
 class FoundKind(NamedTuple):
-    """Places of one kind, the best first."""
+    """The places of one kind that were found, the best first."""
 
     kind: Message
     places: Sequence[FoundPlace]

@@ -52,7 +52,7 @@ def is_loopback(host: str) -> bool:
 
 
 class TlsSettings(StrictModel):
-    """HTTPS and WSS. PEM files, relative to the configuration; absolute once loaded."""
+    """The settings of HTTPS and WSS: PEM files, relative to the configuration; absolute once loaded."""
 
     certificate: Path
     """The server's certificate, followed by those that lead to its authority."""

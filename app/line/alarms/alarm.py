@@ -130,7 +130,7 @@ class Alarm:
 def built_in(
     code: str, bus: str | None, unit: int | None = None, tuned: Iterable[BuiltInAlarmSettings] = ()
 ) -> AlarmDefinition:
-    """Define a built-in alarm at its place. ``tuned``: the limits and delays that the site set."""
+    """Return a built-in alarm at its place. ``tuned``: the limits and delays that the site set."""
     row = CONDITIONS[code]
     name, record = _texts(code)
     usual: AlarmGroup = "drive" if unit is not None else "system" if bus is None else "communication"

@@ -354,7 +354,7 @@ _MEDIAN = (
 
 @dataclass(frozen=True, slots=True)
 class FrequentAlarm(NamedAlarm):
-    """One of the ten most frequent alarms."""
+    """An alarm that is among the ten most frequent."""
 
     times: Annotated[int, Field(description="How often it was annunciated.")]
 

@@ -34,7 +34,7 @@ _RECORD_TEXTS = ("cause", "consequence", "response")
 
 
 def own_definition(settings: AlarmSettings) -> AlarmDefinition:
-    """Define an alarm by its settings; the site wrote its texts."""
+    """Return an alarm by its settings; the site wrote its texts."""
     severity, time_to_respond = _OF_PRIORITY[settings.priority]
     cause, consequence, response = (
         Message.of("alarm_own_text", text=text) if text else Message("alarm_own_without_text")

@@ -103,7 +103,7 @@ async def own_alarms_page(
 
 @router.get("/alarms/own/values")
 async def values_of_unit(request: Request, _: Engineer, query: Annotated[WrittenAlarm, Query()]) -> Response:
-    """Draw the choice of values, by the labels of the unit that was chosen."""
+    """Show the choice of values, by the labels of the chosen unit."""
     written = _written(query)
     return render(
         request, "alarms/_own_values.html", written=written, values=_values(request, written["place"])

@@ -234,7 +234,7 @@ async def alarms_list(
     chosen: ChosenFilters,
     shown: Annotated[ShownKeys, Query(max_length=MAX_ROWS)] = (),
 ) -> Response:
-    """Draw the rows alone; those that are shown stay in their places."""
+    """Show only the rows of the list; alarms that are shown keep their places."""
     return _list(request, alarms, chosen, shown)
 
 

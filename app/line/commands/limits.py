@@ -40,7 +40,7 @@ class Limits:
 
     @property
     def message(self) -> Message:
-        """Word the limits for the events."""
+        """Return the limits as a message for events."""
         parts = [
             Message(code, {"value": limit})
             for code, limit in (
@@ -66,7 +66,7 @@ class CommandBlock:
     set_at: UnixTime
 
     def refusal(self, unit: int) -> Message:
-        """Word why a command to the unit is not sent."""
+        """Return the reason why a command to the unit is not sent."""
         return Message.of("unit_blocked", unit=unit, who=account_shown(self.set_by), reason=self.reason)
 
 
@@ -80,7 +80,7 @@ class ReadOnly:
     until: UnixTime | None = None
 
     def refusal(self) -> Message:
-        """Word why a command is not sent to the bus."""
+        """Return the reason why a command is not sent to the bus."""
         return Message.of("bus_read_only", who=account_shown(self.set_by), reason=self.reason)
 
 

@@ -228,7 +228,7 @@ class BusPage(PageContext):
         return await self.send(action, confirmation.id, undoes=confirmation.undoes, scales=scales)
 
     def outcome(self, result: Result | UnitOutcome, unit: int) -> OutcomeText:
-        """Word the result of a setpoint; what was read back is in the decimals of ``unit``."""
+        """Return words for a setpoint's result; the value read back has the decimals of ``unit``."""
         return outcome_text(result, lambda raw: setpoint_message(raw, self.bus.units[unit]))
 
     def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
@@ -259,8 +259,7 @@ class BusPage(PageContext):
         return Message.of("unit_address", unit=unit) if live is None else live.settings.name
 
     def outcome_left_out(self, unit: int) -> OutcomeText:
-        """Word the result of a unit that a person has left out of a change, with the reason if that still
-        holds."""
+        """Return words for a unit that a person has left out of a change, with the reason if it still holds."""
         reason = self.obstacle(unit) if unit in self.bus.units else None
         left_out = Message("result_left_out_by_choice")
         return OutcomeText(

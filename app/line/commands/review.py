@@ -265,7 +265,7 @@ def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]
 
 
 class DrawSeam(NamedTuple):
-    """Two sections whose setpoints have a draw: their addresses, and its band in percent, empty for none."""
+    """Two sections with a draw between their setpoints: the addresses, and its band in percent, or empty."""
 
     before: int
     unit: int
@@ -344,8 +344,7 @@ _READ_BACK = {"verified": "result_reads", "unverified": "result_reads_other"}
 
 
 def outcome_text(result: Result | UnitOutcome, shown: Callable[[int], str | Message] = str) -> OutcomeText:
-    """Word the result of a command, or of one unit's part in it. ``shown``: words a value that was read
-    back."""
+    """Return words for the result of a command, or of a unit's part. ``shown``: words for a value read back."""
     tone, code = _OUTCOMES[result.outcome]
     if result.message and result.message.code == "scale_changed_since":
         return OutcomeText("unknown", result.message)
@@ -369,7 +368,7 @@ def _explains(result: Result | UnitOutcome) -> bool:
 
 
 def outcome_message(result: Result | UnitOutcome) -> Message:
-    """Word the result of a command, or of one unit's part in it, for programs and events."""
+    """Return words for the result of a command, or of a unit's part, for programs and events."""
     if result.message:
         return result.message
     outcome = Message(f"outcome_{result.outcome}")

@@ -230,7 +230,7 @@ def parameter_wording(action: WriteParameter, bus: BusLive) -> Wording:
 
 
 def setpoint_wording(what: Message, bus: BusLive, unit: int, raw: int | None) -> Wording:
-    """Word a new setpoint of a unit; ``raw`` None if it is not known."""
+    """Return words for a new setpoint of a unit; ``raw`` None if it is not known."""
     live = bus.units[unit]
     old = commanded_setpoint(live, bus)
     return Wording(what, setpoint_message(old, live), setpoint_message(raw, live), old, raw)
@@ -272,12 +272,12 @@ def _other(words: Wording, now: Wording) -> dict[str, Message]:
 
 
 def wordings_by_unit(what: Message, bus: BusLive, setpoints: Mapping[int, int]) -> dict[int, Wording]:
-    """Word the part of each unit in a change of several."""
+    """Return words for the part of each unit in a change of several."""
     return {unit: setpoint_wording(what, bus, unit, setpoints[unit]) for unit in sorted(setpoints)}
 
 
 def line_wording(what: Message, bus: BusLive, setpoints: Mapping[int, int]) -> Wording:
-    """Word the new setpoints of several units."""
+    """Return words for the new setpoints of several units."""
     units = wordings_by_unit(what, bus, setpoints)
     return Wording(
         what,

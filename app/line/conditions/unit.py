@@ -78,7 +78,7 @@ def _most_read_their_own_address(bus: BusValues) -> bool:
 
 
 def _deviation(bus: BusValues, unit: UnitValues, reading: Reading, passes: LimitCheck) -> bool | None:
-    """Judge the deviation, even while the unit reports AT SPEED; it is unknown while #2 is."""
+    """Return whether the speed deviates, even while the unit reports AT SPEED; it is unknown while #2 is."""
     if unit.motion.state not in SETTLED or reads_ratio(bus, unit):
         return False
     full_scale, deviation = unit.parameter_raw(MAX_DISPLAY), reading.deviation

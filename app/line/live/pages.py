@@ -72,7 +72,7 @@ class UnitOnLine:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Units that stand together on the floor."""
+    """A group of units that stand together on the floor."""
 
     name: str
     units: list[UnitOnLine]

@@ -147,8 +147,8 @@ def _one_line(text: str) -> str:
 
 
 class AcknowledgeLinks:
-    """Signed links, each to acknowledging one occurrence. A link signs no one in, and opening it changes
-    nothing. ``base``: the address of the dashboard; None: no link can be made."""
+    """The maker of signed links, each to acknowledge one occurrence. A link signs no one in, and opening it
+    changes nothing. ``base``: the address of the dashboard; None: no link can be made."""
 
     def __init__(self, base: str | None, clock: Clock = unix_now) -> None:
         self.key = b""

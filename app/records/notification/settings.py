@@ -120,7 +120,7 @@ class AppriseSettings(StrictModel):
 
 
 class DutySettings(StrictModel):
-    """People on duty on these days. If ``ends`` is not after ``starts``, it is on the next day."""
+    """A time of duty: people, days and hours. If ``ends`` is not after ``starts``, it is on the next day."""
 
     days: Annotated[tuple[DayOfWeek, ...], Field(min_length=1)] = DAYS
     starts: ClockTime
@@ -129,7 +129,7 @@ class DutySettings(StrictModel):
 
 
 class GroupSettings(StrictModel):
-    """People who are notified together. ``to``: at any time; ``duty``: by roster."""
+    """A group of people who are notified together. ``to``: at any time; ``duty``: by roster."""
 
     name: GroupName
     to: Addresses = ()

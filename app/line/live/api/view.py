@@ -296,7 +296,7 @@ class InputsShown(TypedDict):
 
 
 class Labels(TypedDict):
-    """Names of the wiring of a unit, from lineside.toml; empty or left out if none is given."""
+    """The names of a unit's wiring, from lineside.toml; empty or left out if none is given."""
 
     output: Annotated[dict[int, str], Field(description="By number of the auxiliary output, 1 to 6.")]
     input: Annotated[dict[str, str], Field(description="By name of the input.")]
@@ -483,7 +483,7 @@ class BusStatistics(WireShown):
 
 
 class ParameterShown(TypedDict):
-    """One of the 40 parameters of a unit as last read."""
+    """A parameter (of 40) of a unit as last read."""
 
     number: Annotated[int, Field(description="1 to 40.")]
     name: str
