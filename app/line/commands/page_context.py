@@ -259,7 +259,7 @@ class BusPage(PageContext):
         return Message.of("unit_address", unit=unit) if live is None else live.settings.name
 
     def outcome_left_out(self, unit: int) -> OutcomeText:
-        """Return words for a unit that a person has left out of a change, with the reason if it still holds."""
+        """Return words for a unit that a person left out of a change, and the reason if it still holds."""
         reason = self.obstacle(unit) if unit in self.bus.units else None
         left_out = Message("result_left_out_by_choice")
         return OutcomeText(

@@ -344,7 +344,7 @@ _READ_BACK = {"verified": "result_reads", "unverified": "result_reads_other"}
 
 
 def outcome_text(result: Result | UnitOutcome, shown: Callable[[int], str | Message] = str) -> OutcomeText:
-    """Return words for the result of a command, or of a unit's part. ``shown``: words for a value read back."""
+    """Return words for the result of a command, or of a unit's part. ``shown``: words for a value."""
     tone, code = _OUTCOMES[result.outcome]
     if result.message and result.message.code == "scale_changed_since":
         return OutcomeText("unknown", result.message)
