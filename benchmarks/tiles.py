@@ -15,7 +15,7 @@ from benchmarks.tables import median, show
 UNITS = 16
 RATE = 2.4
 """A bus of 9600 baud brings 38 readings a second."""
-WIDTH, HEIGHT = 1920, 1080
+WIDTH, HEIGHT = 1920, 1440
 SETTLE_S = 20.0
 MEASURED_S = 20.0
 TIMES = 3

@@ -1,5 +1,5 @@
 // Ten minutes in each tile: the actual speed over the dashed setpoint in its at-speed band, where there is room for it. All tiles by one
-// request, as often as the newest point moves by two pixels; an hour of a page that nobody looks at costs none.
+// request, as often as the newest point moves by two pixels; a tile without room and an hour of a page that nobody looks at cost none.
 import { isLive } from "./live.js";
 import { band, drawing, fetchMinutes, outline, path, range } from "./spark.js";
 
@@ -13,7 +13,7 @@ const tiles = Array.from(document.querySelectorAll("[data-spark]"), (place) => {
 });
 
 async function draw() {
-  const visible = tiles.filter(({ place }) => place.getClientRects().length);
+  const visible = tiles.filter(({ place }) => place.getBoundingClientRect().height >= 1);
   if (!visible.length || !isLive() || document.visibilityState !== "visible") return;
   const { from, found } = await fetchMinutes(visible.map(({ unit }) => unit));
   for (const { unit, window, lines } of visible) {
