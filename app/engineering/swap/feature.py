@@ -47,7 +47,7 @@ from app.feature import Feature, Services
 from app.line.commands.service import CommandService
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import LiveState
-from app.line.live.fields import unit_key
+from app.line.live.fields import name_on_site, unit_key
 from app.line.live.requests import unit_or_404
 from app.people.audit.log import EventLog
 from bus.messages import Message
@@ -183,7 +183,8 @@ async def _find(live: LiveState, search: Search) -> Iterable[FoundPlace]:
     found: list[FoundPlace] = []
     for bus in live.buses.values() if search.may("begin_swap") else ():
         for unit in bus.units.values():
-            label = Message.of("find_replace", unit=unit.settings.name)
+            name = name_on_site(bus.settings.name, unit.settings.name, live.buses)
+            label = Message.of("find_replace", unit=name)
             href = f"/swap/{unit_key(bus.settings.name, unit.settings.id)}"
             places = matched(search, FoundPlace(label, href), search.language.t(label), *unit.names)
             # Whoever types the name of a unit wants the unit, before its replacement.

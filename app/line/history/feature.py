@@ -208,12 +208,13 @@ async def delete_view(
 
 
 def _catalogue(history: History) -> list[dict[str, Any]]:
-    """Return every unit in floor order, with its wiring and its measure."""
+    """Return every unit in floor order, with its wiring and its measure. With several buses, its name begins
+    with that of its bus."""
+    several = len(history.buses) > 1
     return [
         {
             "key": f"{bus.name}/{unit.id}",
-            "name": unit.name,
-            "bus": bus.name,
+            "name": f"{bus.name} · {unit.name}" if several else unit.name,
             "labels": {name: text for name, value in VALUES.items() if (text := values.label(unit, value))},
             "measures": {"speed": unit.labels.unit, "analog": unit.labels.analog_unit},
         }

@@ -21,7 +21,7 @@ from app.line.live.api.routes import LineStream
 from app.line.live.api.view import LineView
 from app.line.live.bus_live import BusLive, LiveState, UnitLive, bits_of, unit_link_now
 from app.line.live.change_recorder import ChangeRecorder, LineEvent, OnsetLookup
-from app.line.live.fields import Translator, unit_key
+from app.line.live.fields import Translator, name_on_site, unit_key
 from app.line.live.hub import Hub
 from app.line.live.sources import Notice, Sources
 from app.people.audit.anchor import Anchoring, anchor_notice
@@ -59,7 +59,7 @@ async def find_wiring(live: LiveState, search: Search) -> Iterable[FoundPlace]:
     places: dict[str | int, str] = {name: t(standard) for name, standard in INPUTS.items()}
     places |= {number: f"{t(term('Output'))} {number}" for number in range(1, 7)}
     for bus, unit, href in _units(live):
-        name = unit.settings.name
+        name = name_on_site(bus.settings.name, unit.settings.name, live.buses)
         labels: dict[str | int, str] = dict(unit.settings.labels.input.items())
         labels |= unit.settings.labels.output.items()
         for place, standard in places.items():
@@ -67,7 +67,7 @@ async def find_wiring(live: LiveState, search: Search) -> Iterable[FoundPlace]:
             # A unit that matches by its name alone is found among the units.
             if len(missing(words, names)) < len(words):
                 shown = FoundPlace(f"{name} · {names[0]}", href, is_name=True)
-                for best in matched(search, shown, *names, name, str(unit.settings.id)):
+                for best in matched(search, shown, *names, unit.settings.name, str(unit.settings.id)):
                     found.append(best._replace(detail=_state(search, bus, unit, place)))
     return found
 

@@ -106,6 +106,19 @@ async def test_help_actions_and_the_state_of_an_input_are_found(tmp_path: Path) 
         assert "Run input" not in await found(client, "nip"), "a name alone is that of the unit"
 
 
+async def test_units_of_one_name_are_told_apart_by_their_bus(tmp_path: Path) -> None:
+    config = tmp_path / "lineside.toml"
+    bus = '[[bus]]\nname = "{0}"\nport = "/dev/tty-{0}"\n[[bus.unit]]\nid = 2\nname = "Nip"\n'
+    config.write_text('[server]\ndata = "./data"\n' + bus.format("dry") + bus.format("wet"), encoding="utf-8")
+    async with complete_app(tmp_path, config=config) as house:
+        engineer = await house.signed_in(Role.ENGINEER)
+        for typed, label in (("replace nip", "Replace {} · Nip"), ("nip run input", "{} · Nip · Run input")):
+            page = await engineer.get("/find", params={"typed": typed, "part": "true"})
+            assert [label.format(each) in page.text for each in ("dry", "wet")] == [True, True], typed
+        trends = (await engineer.get("/trends")).text
+        assert [f">{each} · Nip</option>" in trends for each in ("dry", "wet")] == [True, True]
+
+
 @pytest.mark.parametrize(
     "query", [{"typed": "x" * 81}, {"near": "x" * 201, "typed": "x"}, {"typed": "a\nb"}, {"part": "maybe"}]
 )
