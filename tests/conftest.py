@@ -1,5 +1,5 @@
-"""Settings for every test: examples are the same in every run, and no test sets a time limit. The tests of
-complete sites come first: the many small ones fill the time in which the last of those wait.
+"""Settings for every test: examples are the same in every run, and no test sets a time limit. The tests that
+start servers come first: the many small ones fill the time in which the last of those wait.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ settings.load_profile("lineside")
 
 pytest_plugins = ["tests.processes"]
 
-COMPLETE_SITES = {"e2e", "path"}
+LONGEST_FIRST = ("e2e", "path", "tests", "system", "attacks", "cli")
+"""Folders whose tests start servers and programs, by how long a file of them may take."""
 APP = MIGRATIONS.parents[2]
 STORES = (MIGRATIONS, APP / "line" / "history" / "migrations", APP / "records" / "handover" / "migrations")
 
@@ -59,7 +60,12 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The order of files in which the processes take them."""
-    items.sort(key=lambda item: item.path.parent.name not in COMPLETE_SITES)
+    items.sort(key=lambda item: rank_of(item.path.parent.name))
+
+
+def rank_of(folder: str) -> int:
+    """The place of a folder in `LONGEST_FIRST`, or after all of them."""
+    return LONGEST_FIRST.index(folder) if folder in LONGEST_FIRST else len(LONGEST_FIRST)
 
 
 # With the values of every frame, one traceback in a log takes two seconds.

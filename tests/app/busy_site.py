@@ -42,7 +42,7 @@ async def _write(config: Path, turns: int | None = None) -> None:
         await events.record(kind="unit", what="offline", bus=BUS.name, unit=1)
         row = (secrets.token_hex(32), "image/png", secrets.token_bytes(3000))
         await pictures.write(lambda c, row=row: c.execute("INSERT INTO picture VALUES (?, ?, ?)", row))  # type: ignore[misc]
-        await asyncio.sleep(0.02)
+        await asyncio.sleep(0.1)
     history.close()
     main.close()
     pictures.close()

@@ -70,10 +70,12 @@ def requests_of(route: APIRoute) -> Iterator[tuple[str, str, dict[str, Any]]]:
             yield method, filled(route.path, HOSTILE), {"params": query}
         if method in ("GET", "HEAD"):
             yield method, present, {"params": query}
+        elif route.path.startswith("/api/"):
+            body = {HOSTILE: HOSTILE, "value": HOSTILE, "raw": HOSTILE}
+            headers = {"idempotency-key": HOSTILE}
+            yield method, present, {"params": query, "json": body, "headers": headers}
         else:
             yield method, present, {"params": query, "data": fields}
-            body = {HOSTILE: HOSTILE, "value": HOSTILE, "raw": HOSTILE}
-            yield method, present, {"json": body, "headers": {"idempotency-key": HOSTILE}}
 
 
 def filled(path: str, text: str) -> str:

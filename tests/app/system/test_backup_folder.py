@@ -439,7 +439,7 @@ async def test_a_restore_says_what_the_plants_database_has_of_after_the_backup(t
     assert (done.exit_code, "may be in " in done.stdout) == (0, True), done.output
 
 
-@pytest.mark.parametrize("kills", sizes(2, 50))
+@pytest.mark.parametrize("kills", sizes(1, 50))
 def test_whatever_is_killed_every_finished_backup_restores(tmp_path: Path, kills: int) -> None:
     config, chance = make_site(tmp_path), random.Random(38)
     backups, finished = tmp_path / "backups", 0
@@ -467,7 +467,7 @@ def test_whatever_is_killed_every_finished_backup_restores(tmp_path: Path, kills
         os.close(nowhere)
         writing.kill()
         writing.wait()
-    assert finished >= kills - 1
+    assert finished >= max(kills - 1, 1)
     for number, path in enumerate(sorted(backups.glob("lineside-2*.json"))):
         spare = tmp_path / f"spare {number}"
         spare.mkdir()
