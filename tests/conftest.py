@@ -24,11 +24,12 @@ from jinja2 import Environment
 
 import app.core.database.database
 import app.core.messages.languages
+import app.core.web.api
 import app.people.auth.passwords
 from app.core.database.files import Reserve
 from app.core.database.migration import MIGRATIONS, Migration, bring_up_to_date
 from app.core.web.assets import Assets
-from tests.made_once import compiling_once, reading_once
+from tests.made_once import compiling_once, describing_once, reading_once
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)
 # In `make soak`: other examples in each run, and many.
@@ -112,6 +113,7 @@ def made_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Environment, "compile", compiling_once())
         patch.setattr(Assets, "__init__", reading_once())
+        patch.setattr(app.core.web.api, "get_openapi", describing_once())
         yield
 
 

@@ -347,6 +347,7 @@ def prepare_pages() -> None:
     longer than to start it."""
     made_once = import_module("tests.made_once")
     made_once.Environment.compile = made_once.compiling_once()
+    made_once.api.get_openapi = made_once.describing_once()
     assets_class = made_once.Assets
     assets_class.__init__ = made_once.reading_once()
     assets = assets_class(made_once.static_dir())

@@ -94,7 +94,7 @@ async def test_no_text_of_a_request_is_looked_up_in_a_catalog(
     client = await house.signed_in(Role.ADMIN)
     client.headers.update({"accept-language": "de", "accept": accept, "referer": f"http://x/{HOSTILE}"})
     routes = [route for route in house.app.routes if isinstance(route, APIRoute)]
-    skipped = ("/logout", "/stream")
+    skipped = ("/logout", "/stream", "/openapi.json")
     for route in routes:
         for method, path, more in requests_of(route):
             if not path.endswith(skipped):
