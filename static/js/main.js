@@ -1,7 +1,7 @@
 // What every page has. Most start here; a page with its own first module imports this afterwards.
 import "../vendor/htmx.min.js";
 import { draw, drawAll, rebind } from "./bind.js";
-import * as blink from "./blink.js";
+import * as attention from "./attention.js";
 import * as control from "./control.js";
 import * as drafts from "./drafts.js";
 import * as find from "./find.js";
@@ -13,9 +13,6 @@ import * as redraw from "./redraw.js";
 import * as review from "./review.js";
 import * as setter from "./setter.js";
 import * as visibility from "./visibility.js";
-import * as timeLeft from "./time-left.js";
-import * as announce from "./announce.js";
-import * as verdict from "./verdict.js";
 
 // On a phone the tabs are longer than the window: scroll them to the current page, and not the page to them.
 for (const current of document.querySelectorAll(".tabs__tab[aria-current]")) {
@@ -26,18 +23,15 @@ for (const current of document.querySelectorAll(".tabs__tab[aria-current]")) {
 }
 rebind();
 visibility.start(draw, drawAll);
-blink.start();
+attention.start();
 focus.start();
 find.start();
 quality.findUnits();
 quality.start();
-verdict.start();
 review.start();
 drafts.start();
 setter.start();
-timeLeft.start();
 redraw.start();
-announce.start();
 control.start();
 kiosk.start();
 live.follow([
@@ -52,11 +46,8 @@ async function where(isNeeded, load) {
 }
 const has = (/** @type {string} */ selector) => document.querySelector(selector) !== null;
 where(navigator.maxTouchPoints > 0, () => import("./keypad.js"));
-where(has("[data-people]"), () => import("./people.js"));
-where(has("[data-trace]"), () => import("./trace.js"));
-where(has("[data-counts-one]"), () => import("./counts.js"));
-where(has("[data-filter]"), () => import("./filter.js"));
-where(has("[data-copy], [data-reload-as], [data-opened], #edit"), () => import("./drawer.js"));
+where(has("[data-people], [data-trace]"), () => import("./bus.js"));
+where(has("[data-filter], [data-counts-one], [data-copy], [data-reload-as], [data-opened], #edit"), () => import("./editing.js"));
 
 /** Sound where its settings are shown or kept in this browser, also by another page from now on.
  * @param {StorageEvent} [event] */

@@ -139,7 +139,7 @@ function pull(element, view, time) {
   const held = new Map();
   let isMoving = false;
   element.addEventListener("pointerdown", ({ pointerId, pointerType, button, shiftKey, clientX }) => {
-    if (pointerType === "mouse" && (shiftKey || button > 1)) return;
+    if (pointerType === "mouse" && (shiftKey || button)) return;
     isMoving = held.size > 0;
     held.set(pointerId, clientX);
     element.classList.add(PULLED);
@@ -176,13 +176,8 @@ function openList(name, index) {
   list.querySelectorAll("button")[index]?.focus();
 }
 
-/** The first press sets cursor A, the next B, the third takes both away.
- * @param {View} view @param {number} at */
-function press(view, at) {
-  if (view.a === null) view.change({ a: at });
-  else if (view.b === null) view.change({ b: at });
-  else view.change({ a: null, b: null });
-}
+/** The first press sets cursor A, the next B, the third takes both away. @param {View} view @param {number} at */
+const press = (view, at) => view.change(view.a === null ? { a: at } : view.b === null ? { b: at } : { a: null, b: null });
 
 /** @param {KeyboardEvent} event @param {Trends} trends @param {(seconds: number) => void} put */
 function key(event, { view, at: cursor }, put) {
@@ -225,9 +220,9 @@ export function bindNotes(words, time, written, why) {
   details.addEventListener("toggle", () => {
     if (details.open && !text.value) about.value = toField(time());
   });
-  form.addEventListener("input", () => {
+  form.oninput = () => {
     key = newKey();
-  });
+  };
   onSubmit(form, async () => {
     const at = fromField(about.value);
     if (Number.isNaN(at)) {

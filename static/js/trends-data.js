@@ -90,8 +90,7 @@ export function valueAt({ t, avg, bucket_s }, at) {
   return last < 0 || isOld ? null : avg[last];
 }
 
-/** The last value of a result within a span, null where there is none.
- * @param {Result} result @param {Span} span */
+/** The last value of a result within a span, null where there is none. @param {Result} result @param {Span} span */
 export function lastValue({ t, avg }, [from, to]) {
   const last = t.findLastIndex((at, i) => at <= to && avg[i] !== null);
   return t[last] >= from ? avg[last] : null;
@@ -111,8 +110,7 @@ export function unread(results, [from, to], now) {
   return { before: first - from > notable ? [from, first] : null, after: end - last > notable ? [last, end] : null };
 }
 
-/** Least, average and greatest of all that is shown, and the holes in it.
- * @param {Result} result */
+/** Least, average and greatest of all that is shown, and the holes in it. @param {Result} result */
 export function summary({ avg, min, max }) {
   const [averages, lows, highs] = [avg, min, max].map((column) => column.filter((value) => value !== null));
   if (!averages.length) return null;

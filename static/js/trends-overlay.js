@@ -106,25 +106,20 @@ function lanes(trends) {
   const top = (row) => `${row * ROW - lanesHeight(trends)}px`;
   /** @param {string} word @param {number} row @param {number} count */
   const lane = (word, row, count) => part("trends__lane", { top: top(row), height: `${count * ROW}px` }, part("", {}, word));
-  /** @param {HTMLElement} element @param {"alarms" | "notes"} list @param {number} index */
-  const item = (element, list, index) => {
-    Object.assign(element.dataset, { list, index });
-    return element;
-  };
   return [
     lane(words.alarms, 0, rows),
     ...(notes.length ? [lane(words.notes, rows, 1)] : []),
     ...placed(alarms, range).flatMap(({ index, priority, row, x, end, room, label }) => {
       const place = { left: x, top: top(row), width: end - x };
-      const mark = item(part("trends__alarm alarm-priority", place, part("alarm-priority__shape", {})), "alarms", index);
-      mark.dataset.is = priority;
+      const mark = part("trends__alarm alarm-priority", place, part("alarm-priority__shape", {}));
+      Object.assign(mark.dataset, { is: priority, list: "alarms", index });
       return room < LEAST_ROOM ? [mark] : [part("trends__who", { left: end, top: top(row), "max-width": room }, label), mark];
     }),
-    ...notes.flatMap(({ t }, i) =>
-      t < range[0] || t > range[1]
-        ? []
-        : [item(part("trends__flag", { left: left(t), top: top(rows) }, part("", {}, String(i + 1))), "notes", i)],
-    ),
+    ...notes.flatMap(({ t }, index) => {
+      const flag = part("trends__flag", { left: left(t), top: top(rows) }, part("", {}, String(index + 1)));
+      Object.assign(flag.dataset, { list: "notes", index });
+      return t < range[0] || t > range[1] ? [] : [flag];
+    }),
   ];
 }
 

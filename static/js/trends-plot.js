@@ -122,11 +122,11 @@ export class Picture {
         y: false,
         points: { size: 7 },
         // A press with Shift selects; any other pulls the picture (trends-controls.js), and its click is no end of a drag.
-        bind: { mousedown: (_plot, _target, select) => (event) => (event.shiftKey ? select(event) : unscrolled(event)) },
+        bind: { mousedown: (_plot, _target, select) => (event) => (event.shiftKey ? select(event) : null) },
         drag: { x: true, y: false, setScale: false, click: () => {} },
       },
       hooks: {
-        setCursor: [(plot) => this.moved(plot)],
+        setCursor: [(plot) => this.on.cursor((plot.cursor.left ?? -1) < 0 ? null : plot.posToVal(plot.cursor.left ?? 0, "x"))],
         setSelect: [(plot) => this.selected(plot)],
       },
       plugins: [overlayPlugin(trends, scaleOf, room)],
@@ -174,12 +174,6 @@ export class Picture {
   }
 
   /** @param {uPlot} plot */
-  moved(plot) {
-    const { left = -1 } = plot.cursor;
-    this.on.cursor(left < 0 ? null : plot.posToVal(left, "x"));
-  }
-
-  /** @param {uPlot} plot */
   selected(plot) {
     const { left, width } = plot.select;
     if (width < SELECTED) return;
@@ -221,12 +215,6 @@ export function alone(column) {
   /** @param {number} i */
   const isHole = (i) => (known[i]?.value ?? null) === null;
   return known.filter((_, i) => !isHole(i) && isHole(i - 1) && isHole(i + 1)).map(({ place }) => place);
-}
-
-/** The middle button pulls as the left one does, and scrolls no page. @param {MouseEvent} event */
-function unscrolled(event) {
-  if (event.button === 1) event.preventDefault();
-  return null;
 }
 
 /** A color that light-dark() gives, as the canvas understands it; `percent` of it, the rest shines through.

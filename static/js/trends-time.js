@@ -7,8 +7,7 @@ const WALL = new Intl.DateTimeFormat("sv", { timeZone: zone, dateStyle: "short",
 const MAX_DIGITS = 3;
 export const DAY = 86400;
 
-/** The wall clock at the site, as if it were UTC: seconds that can be counted with.
- * @param {number} seconds */
+/** The wall clock at the site, as if it were UTC: seconds that can be counted with. @param {number} seconds */
 const wall = (seconds) => Date.parse(`${WALL.format(seconds * 1000).replace(" ", "T")}Z`) / 1000;
 
 /** The instant at which the wall clock at the site shows this; near a change of summer time, one of the two.
@@ -18,12 +17,10 @@ function instant(wallSeconds) {
   return guess - (wall(guess) - wallSeconds);
 }
 
-/** The same time of day on the day before.
- * @param {number} at */
+/** The same time of day on the day before. @param {number} at */
 export const dayBefore = (at) => instant(wall(at) - DAY);
 
-/** When the day of a moment began at the site.
- * @param {number} at */
+/** When the day of a moment began at the site. @param {number} at */
 export function dayStart(at) {
   const clock = wall(at);
   return instant(clock - (clock % DAY));
@@ -41,8 +38,7 @@ export function shiftAt(at, starts) {
   return [edges[next - 1], edges[next]];
 }
 
-/** The time of day; with its day where that is another than of `beside`.
- * @param {number} at @param {number} beside */
+/** The time of day; with its day where that is another than of `beside`. @param {number} at @param {number} beside */
 export const shortTime = (at, beside) =>
   formatTime(at, formatTime(at, "day") === formatTime(beside, "day") ? "clock" : "dayClock");
 
@@ -97,8 +93,7 @@ export function number(value, decimals) {
 export const axisNumbers = (_plot, splits, _axis, _space, step) =>
   splits.map((split) => number(split, (String(step).split(".")[1] ?? "").length));
 
-/** 0.2 s, 30 s, 5 min, 8 h, 3 d.
- * @param {number} seconds */
+/** 0.2 s, 30 s, 5 min, 8 h, 3 d. @param {number} seconds */
 export function length(seconds) {
   if (seconds < 10) return `${number(seconds, null)} s`;
   const [unit, name] = seconds < 120 ? [1, "s"] : seconds < 7200 ? [60, "min"] : seconds < 2 * DAY ? [3600, "h"] : [DAY, "d"];

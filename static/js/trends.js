@@ -191,8 +191,7 @@ function pastText() {
   return [compared?.name, isEmpty ? words.pastEmpty : ""].filter(Boolean).join(". ");
 }
 
-/** A browser's own words for a request that came to nothing are in its language, not in the page's.
- * @param {unknown} error */
+/** A browser's own words for a request that came to nothing are in its language, not in the page's. @param {unknown} error */
 function why(error) {
   const text = error instanceof TypeError ? words.noResponse : /** @type {Error} */ (error).message;
   return words.fault.replace("{n}", text);

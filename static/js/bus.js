@@ -1,4 +1,5 @@
-// The live frames of a bus, while the user follows them.
+// The page of a bus: who else has a page open, and the live frames while the user follows them.
+import { listen } from "./bind.js";
 import { zone } from "./clock.js";
 import { follow } from "./live.js";
 import { language } from "./words.js";
@@ -42,7 +43,27 @@ function write(box, frames) {
   if (atEnd) box.scrollTop = box.scrollHeight;
 }
 
+/** @param {Person[]} here */
+function drawPeople(here) {
+  for (const list of document.querySelectorAll("[data-people]")) {
+    const items = here.map(([name, role]) => {
+      const item = document.createElement("li");
+      item.textContent = `${name} · ${role}`;
+      return item;
+    });
+    list.replaceChildren(...items);
+  }
+}
+
+function followPeople() {
+  listen("people", (fields) => {
+    drawPeople(fields.here ?? []);
+    document.dispatchEvent(new CustomEvent("lineside:people"));
+  });
+}
+
 export function start() {
+  followPeople();
   const button = document.querySelector("[data-trace]");
   const box = document.querySelector("[data-frames]");
   if (!button) return;
