@@ -78,12 +78,13 @@ def dashboard(
     units: list[Unit],
     *,
     site_toml: str = "",
-    bus_toml: str = "",
+    bus_toml: str = "max_scan_hz = 10",
     cable_of: type[Cable] = Cable,
     **options: Any,
 ) -> Iterator[Dashboard]:
     """Serve these units; every one has been read, with its parameters, when this begins. ``options``: of
-    `fork_server.start`."""
+    `fork_server.start`. The cable has no baud rate: without a limit of the scan the units are polled as fast as
+    the machine can."""
     url = f"http://127.0.0.1:{free_port()}"
     with (
         plugged(folder / "tty", units, cable_of) as cable,
