@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.settings import Dialect
@@ -228,7 +228,6 @@ class LateUnit:
 requests = st.sampled_from([*ALL, ReadParameterRequest(1, 4), SetAndExecuteSpeedRequest(1, 6)])
 
 
-@settings(max_examples=3 * settings.default.max_examples)
 @given(st.lists(requests, min_size=1, max_size=12), st.data())
 def test_no_late_or_duplicate_response_is_ever_taken_for_another(
     wanted: list[Request], data: st.DataObject

@@ -162,7 +162,7 @@ def test_ten_minutes_of_a_full_bus_are_kept() -> None:
 
 
 def test_an_app_that_is_away_for_hours_costs_no_more_than_a_few_megabytes() -> None:
-    part = 10
+    part = 20
     outbox, sizes = Outbox(MAX_READINGS // part, MAX_OTHERS // part), []
     tracemalloc.start()
     try:

@@ -14,12 +14,15 @@ from bus.simulator.line import Faults, SimulatedLine
 from bus.simulator.plant import Section, demo_line
 from bus.simulator.unit import Memory, Traits, Unit
 from tests.bus.virtual_line import VirtualClock, VirtualLine, VirtualPort, run, run_virtually
+from tests.sizes import in_turn, sizes
 
 ALLOWED_S = 0.050
 """The default of ``turnaround_ms``."""
 USB_LATENCY_S = 0.016
 """An FTDI adapter without low latency delivers what it received every 16 ms."""
 UNITS = 4
+PORTS = ((300, 0.0), (9600, 0.0), (300, USB_LATENCY_S), (9600, USB_LATENCY_S))
+"""The baud rate and the latency of an adapter."""
 TURNAROUNDS_S = [0.001, 0.045, 0.048, 0.050, 0.055, 0.060, 0.100, 0.400]
 
 
@@ -65,12 +68,11 @@ def kinds(found: list[Found]) -> dict[int, str]:
     return {one.unit: one.kind for one in found}
 
 
-@pytest.mark.parametrize("latency_s", [0.0, USB_LATENCY_S], ids=["quick adapter", "USB latency"])
-@pytest.mark.parametrize("baud", [300, 9600])
-@pytest.mark.parametrize("turnaround_s", TURNAROUNDS_S)
+@pytest.mark.parametrize(("turnaround_s", "port"), in_turn(TURNAROUNDS_S, PORTS))
 def test_slow_units_are_not_taken_for_two_at_one_address(
-    turnaround_s: float, baud: int, latency_s: float
+    turnaround_s: float, port: tuple[int, float]
 ) -> None:
+    baud, latency_s = port
     result = run_virtually(scan(turnaround_s, baud, latency_s))
     assert kinds(result.found) == dict.fromkeys(range(1, UNITS + 1), "digimax")
     assert [one.remarks for one in result.found] == [()] * UNITS
@@ -97,13 +99,13 @@ def bus_scan(turnaround_s: float) -> Result:
     async def scene(line: VirtualLine) -> Result:
         for unit in line.plant.units:
             unit.traits = Traits(turnaround_s=turnaround_s)
-        await asyncio.sleep(5.0)
+        await asyncio.sleep(2.0)
         return await line.perform(ScanBus(1, UNITS + 1), within_s=600.0)
 
     return run(scene, UNITS)
 
 
-@pytest.mark.parametrize("turnaround_s", TURNAROUNDS_S)
+@pytest.mark.parametrize("turnaround_s", [*sizes(0.001, *TURNAROUNDS_S[1:-3], 0.1), 0.055, 0.4])
 def test_a_bus_at_work_takes_no_slow_unit_for_two(turnaround_s: float) -> None:
     result = bus_scan(turnaround_s)
     assert "garbled" not in [found.kind for found in result.found]

@@ -314,7 +314,7 @@ def test_the_same_seed_gives_the_same_bytes_at_the_same_times() -> None:
         there = host(4, seed=seed, traits=Traits(turnaround_s=0.003))
         for kind in FaultKind:
             there.line.faults.set(kind, 0.05)
-        for round_ in range(40):
+        for round_ in range(12):
             there.write(ReadStatusRequest(round_ % 4 + 1), StageSpeedRequest(round_ % 4 + 1, round_))
             there.wait(0.2)
         return there.got

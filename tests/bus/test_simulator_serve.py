@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -200,12 +199,12 @@ def test_remote_control() -> None:
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGINT])
 def test_the_command_prints_the_port_first_and_ends_cleanly(tmp_path: Path, ending: signal.Signals) -> None:
     link = tmp_path / "line"
-    code = "from app.cli.wire import simulate; simulate()"
-    call = [sys.executable, "-c", code, "--units", "3", "--link", str(link), "--control", "0"]
-    with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().strip() == str(link)
-        remote = Remote(int(process.stdout.readline().rsplit(":", 1)[1]))
+    call = ("simulate", "--units", "3", "--link", link, "--control", "0")
+    process = fork_server.start(*call, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    with process.stdout as printed:
+        assert printed.readline().strip() == str(link)
+        remote = Remote(int(printed.readline().rsplit(":", 1)[1]))
         assert remote.do("state", unit=3)["mode"] == "remote"
         remote.close()
         with opened(str(link)) as host:
