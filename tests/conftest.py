@@ -31,7 +31,9 @@ from app.core.database.migration import MIGRATIONS, Migration, bring_up_to_date
 from app.core.web.assets import Assets
 from tests.made_once import compiling_once, describing_once, reading_once
 
-settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)
+settings.register_profile(
+    "lineside", derandomize=True, deadline=None, max_examples=20, stateful_step_count=25
+)
 # In `make soak`: other examples in each run, and many.
 settings.register_profile("soak", deadline=None, max_examples=1000)
 settings.load_profile("lineside")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from app.system.configuration.document import ConfigurationVersion, StoredVersion, VersionStore
 from bus.instants import UnixTime
+from tests import fork_server
 from tests.test_architecture import ROOT, text_of
 
 LINESIDE = Path(sys.executable).with_name("lineside")
@@ -33,11 +34,8 @@ def test_a_backup_is_made_and_restored_as_the_guide_says(tmp_path: Path) -> None
     key.chmod(0o600)
     config = tmp_path / "etc/lineside/lineside.toml"
     config.write_text(f'[server]\ndata = "{tmp_path}/var/lib/lineside/data"\n[backup]\nkey_file = "{key}"\n')
-    subprocess.run(
-        [LINESIDE, "token", "create", "plc", "--role", "viewer", "--config", config],
-        check=True,
-        capture_output=True,
-    )
+    made = fork_server.run("token", "create", "plc", "--role", "viewer", "--config", config)
+    assert made.returncode == 0, made.stderr
     # The server makes it at its first start.
     versions = VersionStore(tmp_path / "var/lib/lineside/data")
     versions.add(StoredVersion(ConfigurationVersion(1, UnixTime(0.0), "found", "0"), config.read_text()))
@@ -61,12 +59,17 @@ def typed(root: Path, chapter: str) -> str:
                 below(root, re.sub(r"^sudo (-u lineside )?|-o lineside -g lineside ", "", command))
             )
             if not any(word in command for word in OF_THIS_MACHINE):
-                done = subprocess.run(
-                    words, cwd=root, input="y\n", capture_output=True, text=True, check=False
-                )
+                done = run(words, root, "y\n")
                 assert done.returncode == 0, f"{command}: {done.stderr}"
                 printed += done.stdout
     return printed
+
+
+def run(words: list[str], folder: Path, text: str) -> subprocess.CompletedProcess[str]:
+    """Run a command with ``text`` on its standard input; ``lineside`` from the fork server."""
+    if words[0] == str(LINESIDE):
+        return fork_server.run(*words[1:], cwd=folder, text=text)
+    return subprocess.run(words, cwd=folder, input=text, capture_output=True, text=True, check=False)
 
 
 def below(root: Path, command: str) -> str:

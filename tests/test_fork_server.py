@@ -19,7 +19,6 @@ LINESIDE = Path(sys.executable).with_name("lineside")
 @pytest.mark.parametrize(
     "words",
     [
-        ("no-such-command",),
         ("decode", "--json", "10021001811003"),
         ("serve", "--config", "absent.toml"),
     ],

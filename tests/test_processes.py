@@ -53,7 +53,7 @@ def test_every_test_runs_once_and_each_process_has_its_fixtures_to_its_end(tmp_p
 def test_a_failure_is_reported_with_the_output_of_that_test(tmp_path: Path) -> None:
     """All that is printed at the same time, by processes or by what they start, stays apart."""
     failing = (
-        "import os\ndef test_it():\n    for _ in range(99): os.system('echo from {0}')\n    assert 0, '{0}'"
+        "import os\ndef test_it():\n    for _ in range(20): os.system('echo from {0}')\n    assert 0, '{0}'"
     )
     result = run(
         tmp_path, "--processes=3", **{name: failing.format(name) for name in ("north", "south", "west")}
@@ -75,14 +75,14 @@ def test_a_process_that_ends_fails_the_run_and_names_its_test(tmp_path: Path) ->
 def test_after_the_first_failure_no_process_takes_another_file(tmp_path: Path) -> None:
     """What has begun comes to its end."""
     failing = {"failing": "def test_it(): assert 0"}
-    waiting = "import time\ndef test_it(): time.sleep(0.05)"
+    waiting = "import time\ndef test_it(): time.sleep(0.2)"
     result = run(
-        tmp_path, "--processes=2", "-x", **failing, **{f"other_{number}": waiting for number in range(200)}
+        tmp_path, "--processes=2", "-x", **failing, **{f"other_{number}": waiting for number in range(60)}
     )
     assert result.returncode == pytest.ExitCode.TESTS_FAILED
     assert "1 failed" in result.stdout
     assert "stopping after 1 failures" in result.stdout
-    assert "200 passed" not in result.stdout
+    assert "60 passed" not in result.stdout
 
 
 def test_what_cannot_be_collected_runs_nothing(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from tests import fork_server
 from tests.e2e.site import eventually
 from tests.free_port import free_port
 from tests.test_architecture import ROOT, text_of
@@ -128,7 +129,7 @@ def typed(root: Path, command: str, code: int = 0) -> str:
     """Run the documented ``lineside`` command of this name below ``root``; gives what it printed."""
     (line,) = (line for line in COMMANDS if line.startswith(f"{AS_SERVICE}{INSTALLED} {command} "))
     words = shlex.split(below(root, line.removeprefix(f"{AS_SERVICE}{INSTALLED}")))
-    done = subprocess.run([LINESIDE, *words], capture_output=True, text=True)
+    done = fork_server.run(*words)
     assert (done.returncode, bool(done.stderr)) == (code, bool(code)), done.stderr
     return done.stdout
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import select
 import socket
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
 
@@ -11,6 +13,7 @@ import serial
 import serial.rfc2217
 
 LOOK_S = 0.02
+Passing = Callable[[bytes], bytes]
 
 
 class _PortWithoutPins(serial.Serial):
@@ -76,16 +79,21 @@ class DeviceServer:
                     self._serve(host, port)
 
     def _serve(self, host: socket.socket, port: serial.Serial) -> None:
-        host.settimeout(LOOK_S / 10)
         self._host = host
-        manager = serial.rfc2217.PortManager(port, self)
+        to_port, to_host = self._passing(port)
         while not self._stopping.is_set() and self._host is host:
-            with suppress(TimeoutError):
+            ready, _, _ = select.select([host, port], [], [], LOOK_S)
+            if host in ready:
                 data = host.recv(1024)
                 if not data:
                     return
-                port.write(b"".join(manager.filter(data)))
+                port.write(to_port(data))
             if port.baudrate not in self.bauds:
                 self.bauds.append(port.baudrate)
-            if waiting := port.read(1024):
-                self.write(b"".join(manager.escape(waiting)))
+            if port in ready and (waiting := port.read(1024)):
+                self.write(to_host(waiting))
+
+    def _passing(self, port: serial.Serial) -> tuple[Passing, Passing]:
+        """What becomes of bytes on their way to the port, and on their way to the host."""
+        manager = serial.rfc2217.PortManager(port, self)
+        return lambda data: b"".join(manager.filter(data)), lambda data: b"".join(manager.escape(data))

@@ -38,10 +38,17 @@ open, so the claim outlives the program.
 """
 
 
-@pytest.fixture
-def plant(tmp_path: Path) -> Iterator[Dashboard]:
-    with dashboard(tmp_path, [Unit(1, commanded=1000, actual=1000), Unit(2)]) as made:
+@pytest.fixture(scope="module")
+def one_plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dashboard]:
+    with dashboard(tmp_path_factory.mktemp("plant"), [Unit(1), Unit(2)]) as made:
         yield made
+
+
+@pytest.fixture
+def plant(one_plant: Dashboard) -> Dashboard:
+    for unit in one_plant.cable.units.values():
+        unit.writes.clear()
+    return one_plant
 
 
 @contextmanager

@@ -190,7 +190,7 @@ def check_chain(entries: list[JournalEntry]) -> None:
         state = entry.after
 
 
-@pytest.mark.parametrize("kills", sizes(2, 50))
+@pytest.mark.parametrize("kills", sizes(1, 50))
 async def test_a_kill_in_a_flood_loses_and_repeats_no_transition(tmp_path: Path, kills: int) -> None:
     path = tmp_path / "store.db"
     dice = random.Random(14)
@@ -204,7 +204,7 @@ async def test_a_kill_in_a_flood_loses_and_repeats_no_transition(tmp_path: Path,
     by_alarm: dict[str, list[JournalEntry]] = {}
     for entry in reversed(journal):
         by_alarm.setdefault(entry.alarm, []).append(entry)
-    assert len(journal) > 100
+    assert len(journal) > 50
     for key, entries in by_alarm.items():
         check_chain(entries)
         assert (stored[key].facts.state, stored[key].facts.occurrence) == (

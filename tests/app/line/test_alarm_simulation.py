@@ -146,7 +146,7 @@ def simulated(
 
 def test_a_simulation_finds_what_the_engine_annunciated(tmp_path: Path, shelf: Shelf) -> None:
     """By every reading, in the tail and in the store."""
-    minutes = 60
+    minutes = 30
     readings = list(history_of(3, minutes))
     keep(shelf, readings)
     database = Database(tmp_path / "store.db")

@@ -49,7 +49,7 @@ def act(facts: AlarmFacts, how: AlarmAttributes, word: str, at: float, end: floa
             return rules.suppress(facts, word == "suppress", UnixTime(at))
 
 
-@settings(max_examples=5 * settings.default.max_examples)
+@settings(max_examples=3 * settings.default.max_examples)
 @given(
     st.sampled_from((0.0, 2.5)),
     st.sampled_from((0.0, 1.5)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import get_args
 
 import pytest
@@ -41,6 +42,7 @@ from bus.contract import (
 from tests.app.complete_app import House
 from tests.app.fake_worker import PlayedWorker, reading, responding
 from tests.app.line.test_command_rules import bus_with, parameter
+from tests.for_each import for_each
 
 SECRET = next(number for number, each in PARAMETERS.items() if each.secret)
 ALL: list[Action] = [
@@ -155,12 +157,12 @@ async def code_of(site: House, person: Person, action: Action) -> str:
         return problem.code
 
 
-@pytest.mark.parametrize("role", Role)
-@pytest.mark.parametrize("action", ALL, ids=lambda action: type(action).__name__)
+@for_each("action, role", product(ALL, Role))
 async def test_every_kind_is_sent_for_its_role_and_those_above_alone(
     site: House, worker: PlayedWorker, action: Action, role: Role
 ) -> None:
     worker.play = responding("verified")
+    worker.commands.clear()
     person, needed = Person("anna", role, "session"), kind_of_command(action).role
     code = await code_of(site, person, action)
     assert (code == "forbidden") == (not role.includes(needed))

@@ -61,7 +61,7 @@ async def test_for_who_may_not_write_the_wire_waits_never(site: House, worker: P
     assert not any(isinstance(message, ReserveTurn) for message in worker.received)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("method", "path", "body", "action"),
     [
         ("POST", "/units/1/speed", {"raw": 12345}, SetSpeed(unit=1, raw=12345)),
@@ -93,6 +93,7 @@ async def test_for_who_may_not_write_the_wire_waits_never(site: House, worker: P
 async def test_the_worker_gets_the_requested_action(
     site: House, worker: PlayedWorker, method: str, path: str, body: Any, action: object
 ) -> None:
+    worker.commands.clear()
     response = await site.request(method, path, body)
     assert response.status_code == 200, response.text
     assert response.json()["outcome"] == response.json()["code"] == "verified"

@@ -39,6 +39,7 @@ from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import UnitSettings
 from tests.app.history_line import BUS, NOON, parameter, polls, reading, until
+from tests.for_each import for_each
 
 TWO_UNITS = BUS.model_copy(update={"unit": (*BUS.unit, UnitSettings(id=2, name="Nip"))})
 
@@ -126,14 +127,12 @@ async def test_fewer_points_keep_the_extremes(client: httpx.AsyncClient, history
     assert found["bucket_s"] > 0
 
 
-@pytest.mark.parametrize(
-    "value", ["commanded", "analog", "run", "estop", "slave", "output.6", "at_speed", "remote"]
-)
-async def test_every_kind_of_value_is_there(client: httpx.AsyncClient, history: History, value: str) -> None:
+async def test_every_kind_of_value_is_there(client: httpx.AsyncClient, history: History) -> None:
     fill(history)
-    found = (await client.get("/history", params=query(value=value))).json()
     wanted = {"commanded": 100.0, "analog": 20.0, "run": 1.0, "at_speed": 1.0, "remote": 1.0}
-    assert {v for v in found["avg"] if v is not None} == {wanted.get(value, 0.0)}
+    for value in (*wanted, "estop", "slave", "output.6"):
+        found = (await client.get("/history", params=query(value=value))).json()
+        assert {v for v in found["avg"] if v is not None} == {wanted.get(value, 0.0)}, value
 
 
 async def test_a_unit_that_never_responded_has_empty_columns(client: httpx.AsyncClient) -> None:
@@ -141,7 +140,7 @@ async def test_a_unit_that_never_responded_has_empty_columns(client: httpx.Async
     assert (found["t"], found["avg"]) == ([], [])
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("changes", "status", "word"),
     [
         ({"from": at(20), "to": at(0)}, 422, "be before its end"),

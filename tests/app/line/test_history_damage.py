@@ -28,6 +28,7 @@ from bus.instants import unix_now
 from bus.messages import Message
 from tests.app.fake_worker import until as arrived
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
+from tests.sizes import sizes
 
 START = micros(NOON)
 NOISE = [chance.randrange(99_999) for chance in [random.Random(3)] for _ in range(9_000)]
@@ -147,7 +148,7 @@ async def test_a_damaged_block_that_is_read_is_a_gap_and_reported_once(
     assert "it is missing: every value of dry-end/1 from 2026-11-21T12:00+00:00" in words[0]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", sizes(0, *range(1, 12)))
 async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: Path, seed: int) -> None:
     """Half of the store is overwritten at once; recording continues, in a new store where it has to."""
     writer = opened(tmp_path)

@@ -19,7 +19,6 @@ from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, Rollup, comb
 from app.line.history.service import FILE
 from app.line.history.writer import MIGRATIONS
 from tests.app import measured_export
-from tests.sizes import sizes
 
 S = SECOND
 
@@ -72,14 +71,12 @@ MAX_GROWTH_MB = 100
 """All rows at once would be half as much again and more."""
 
 
-@pytest.fixture(scope="module", params=sizes(1, 60))
-def days(request: pytest.FixtureRequest) -> int:
-    return int(request.param)
+DAYS = 60
 
 
 @pytest.fixture(scope="module")
-def months(tmp_path_factory: pytest.TempPathFactory, days: int) -> tuple[Path, int]:
-    """A store with the minutes of so many days, and when that ends."""
+def months(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
+    """A store with the minutes of these days, and when that ends."""
     folder = tmp_path_factory.mktemp("months")
     end = micros(time.time()) // DAY * DAY
     minutes = [_minute(n) for n in range(60)]
@@ -88,10 +85,10 @@ def months(tmp_path_factory: pytest.TempPathFactory, days: int) -> tuple[Path, i
 
     def write(connection: tables.StoreConnection) -> None:
         unit = tables.unit_id(connection, "line", 1)
-        starts = range(end - days * DAY, end, HOUR)
+        starts = range(end - DAYS * DAY, end, HOUR)
         insert = "INSERT INTO {} VALUES (?, ?, ?)"
         connection.executemany(insert.format("minutes"), [(unit, start, blob) for start in starts])
-        midnights = range(end - days * DAY, end, DAY)
+        midnights = range(end - DAYS * DAY, end, DAY)
         connection.executemany(insert.format("hours"), [(unit, day, hours) for day in midnights])
         tables.write_raw_from(connection, end)
 
@@ -107,10 +104,11 @@ def _minute(number: int) -> Rollup:
     return Rollup(number * MINUTE, 300, *reach, *reach, *reach, 3, 3, (300, 300, *[0] * 14))
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("file", ["csv", "parquet"])
-def test_months_do_not_fill_memory(months: tuple[Path, int], days: int, file: str) -> None:
+def test_months_do_not_fill_memory(months: tuple[Path, int], file: str) -> None:
     folder, end = months
-    span = (str(end - days * DAY), str(end))
+    span = (str(end - DAYS * DAY), str(end))
     done = subprocess.run(
         [sys.executable, "-m", measured_export.__name__, str(folder), file, *span],
         capture_output=True,
@@ -118,7 +116,7 @@ def test_months_do_not_fill_memory(months: tuple[Path, int], days: int, file: st
     )
     assert done.returncode == 0, done.stderr[-2000:]
     measured = json.loads(done.stdout.splitlines()[-1])
-    rows = days * 1440
+    rows = DAYS * 1440
     if file == "csv":
         with (folder / "export").open() as lines:
             assert sum(1 for _ in lines) == rows + 1

@@ -148,18 +148,17 @@ async def unread(site: House, values: dict[int, int | None]) -> PlayedWorker:
 
 
 @pytest.mark.parametrize(
-    ("values", "raw", "nearest"),
+    ("values", "raw", "nearest", "many"),
     [
-        ({8: 0, 2: 20000}, 20001, 20000),
-        ({8: 0, 2: 20000}, 20000, None),
-        ({8: 0, 2: None}, 99999, None),
-        ({8: 0, 2: 0}, 99999, None),
-        ({8: 0, 2: 0}, 100000, 99999),
-        ({8: 1, 2: 20000, 31: 15000, 38: 5000}, 15001, 15000),
-        ({8: 1, 2: 20000, 31: 15000, 38: 5000}, 4999, 5000),
+        ({8: 0, 2: 20000}, 20001, 20000, False),
+        ({8: 0, 2: 20000}, 20000, None, True),
+        ({8: 0, 2: None}, 99999, None, False),
+        ({8: 0, 2: 0}, 99999, None, False),
+        ({8: 0, 2: 0}, 100000, 99999, True),
+        ({8: 1, 2: 20000, 31: 15000, 38: 5000}, 15001, 15000, False),
+        ({8: 1, 2: 20000, 31: 15000, 38: 5000}, 4999, 5000, True),
     ],
 )
-@pytest.mark.parametrize("many", [False, True])
 async def test_it_is_read_within_the_time_of_the_command(
     site: House, values: dict[int, int | None], raw: int, nearest: int | None, many: bool
 ) -> None:
