@@ -83,8 +83,8 @@ def dashboard(
     **options: Any,
 ) -> Iterator[Dashboard]:
     """Serve these units; every one has been read, with its parameters, when this begins. ``options``: of
-    `fork_server.start`. The cable has no baud rate: without a limit of the scan the units are polled as fast as
-    the machine can."""
+    `fork_server.start`. The cable has no baud rate: without a limit of the scan, the units are polled as fast
+    as the machine can."""
     url = f"http://127.0.0.1:{free_port()}"
     with (
         plugged(folder / "tty", units, cable_of) as cable,
