@@ -58,9 +58,9 @@ WINDOW_S = 0.25
 """The changed units within a window that make a flood, more than six full wires bring. In a flood updates go
 out once per window, because pages could not draw them all; so do new measurements, because drawing each by
 itself takes a browser three times the CPU."""
-MOVING_A_SECOND, MAX_AHEAD = 5.0, 30
-"""New speeds of moving units that go at once, in the long run and beyond that: those of one unit of eight,
-and the first ones of many."""
+MOVING_A_SECOND, MAX_AHEAD = 10.0, 30
+"""New speeds of moving units that go at once, in the long run and beyond that: those of the unit
+that a page shows alone, and the first ones of many."""
 
 FEW_PAGES = 40
 MAX_SENDS_S = 2000
@@ -103,7 +103,7 @@ class Flow:
         return max(0.0, self._sent_at + gap_s - now)
 
     def _move_often(self, now: Monotonic) -> bool:
-        """Count a new speed of a unit that moves; return whether those of more than one unit come."""
+        """Count a new speed of a unit that moves; return whether those of many units come."""
         is_often = not self._ahead.take(now)
         if is_often:
             self._ahead.fill(now)
