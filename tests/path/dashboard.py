@@ -28,7 +28,7 @@ class Dashboard:
     cable: Cable
     client: httpx.Client
     tokens: dict[str, str] = field(default_factory=dict)
-    server: ForkedProcess = field(init=False)
+    server: ForkedProcess | None = None
 
     def call(
         self, method: str, path: str, body: Any = None, role: str = "admin", **more: Any
@@ -58,6 +58,7 @@ class Dashboard:
 
     def workers(self) -> list[int]:
         """The processes that hold the port: what the server has started and what has not ended."""
+        assert self.server is not None
         children = Path(f"/proc/{self.server.pid}/task/{self.server.pid}/children").read_text().split()
         return [int(child) for child in children if Path(f"/proc/{child}/cmdline").read_bytes()]
 
