@@ -49,7 +49,7 @@ REQUEST_FAILED = ("Failed to load resource", "An unknown error occurred when fet
 """In Chromium's words. The script is the service worker's, requested after the page was opened: where a test
 stops the server or the network at once, the request fails. That it is served is tested in test_kiosk.
 """
-AXE_RUN = """async options => (await axe.run(document, options)).violations.flatMap(broken =>
+AXE_RUN = """async ([part, options]) => (await axe.run(part, options)).violations.flatMap(broken =>
     broken.nodes.map(node => `${broken.id} (${broken.help}): ${node.html.slice(0, 200)}`))"""
 """Only violations leave the page: the complete report of axe is megabytes."""
 ENGLISH, GERMAN = "en-GB", "de-DE"
@@ -114,7 +114,8 @@ def line_server(tmp_path_factory: pytest.TempPathFactory, ports: list[int]) -> I
             port = ports.pop() if ports else free_port()
             stack.callback(ports.append, port)
             folder = tmp_path_factory.mktemp("site")
-            return stack.enter_context(sites.site(folder, units, port=port, **options))
+            # While a unit ramps, server and page draw each of its values.
+            return stack.enter_context(sites.site(folder, units, port=port, **{"ramp_s": 2, **options}))
 
         yield start
 
@@ -292,10 +293,12 @@ def focus(field: Locator) -> None:
 
 @pytest.fixture(scope="session")
 def axe() -> Callable[..., list[str]]:
-    """``axe(page)`` → each violation in words; evaluated, as a script tag is blocked by the policy."""
+    """``axe(page)`` → each violation in words; evaluated, as a script tag is blocked by the policy. ``part``:
+    a selector of what is new on a page that is judged as a whole elsewhere.
+    """
     source = AXE.read_text(encoding="utf-8")
 
-    def judge(page: Page, *disabled: str, only: Sequence[str] = AXE_RULES) -> list[str]:
+    def judge(page: Page, *disabled: str, only: Sequence[str] = AXE_RULES, part: str = "html") -> list[str]:
         if not page.evaluate("'axe' in window"):
             page.evaluate(source)
         options = {
@@ -306,7 +309,7 @@ def axe() -> Callable[..., list[str]]:
             # Would read all style sheets again, for a rule about audio.
             "preload": False,
         }
-        found: list[str] = page.evaluate(AXE_RUN, options)
+        found: list[str] = page.evaluate(AXE_RUN, [part, options])
         return found
 
     return judge

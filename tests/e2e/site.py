@@ -21,6 +21,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
 from http.client import HTTPConnection, HTTPException, HTTPSConnection
+from itertools import product
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import IO, Any
@@ -33,6 +34,7 @@ from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.templating import Templates
 from app.people.auth.accounts import Accounts
 from app.settings import Site as SiteSettings
+from bus.catalogue import parameters as numbers
 from bus.simulator.plant import demo_line
 from tests import fork_server
 from tests.administrator import BY
@@ -307,6 +309,7 @@ def site(
     line_options: tuple[str, ...] = (),
     toml: str = "",
     turnaround_ms: int = 500,
+    ramp_s: float | None = None,
     more: dict[str, int] | None = None,
     environment: dict[str, str] | None = None,
     installed: bool = False,
@@ -314,8 +317,9 @@ def site(
 ) -> Iterator[Site]:
     """Run a site of ``units`` on the bus ``line``; ``toml`` is added to its file. ``more``: further buses,
     each by name with its number of units. ``turnaround_ms``: how long to wait for a response; the simulated
-    units are a process, which a busy machine may delay. ``environment``: more variables of the server's
-    environment. ``certificate``: serve HTTPS with ``server.pem`` of this folder, which has its authority.
+    units are a process, which a busy machine may delay. ``ramp_s``: of each unit on ``line``, not 20 s.
+    ``environment``: more variables of the server's environment. ``certificate``: serve HTTPS with
+    ``server.pem`` of this folder, which has its authority.
     """
     scheme = "http" if certificate is None else "https"
     url = f"{scheme}://127.0.0.1:{port or free_port()}"
@@ -327,6 +331,9 @@ def site(
     try:
         for name, count in (more or {}).items():
             made.more[name] = (start_line(folder, count, *line_options, name=name), count)
+        if ramp_s is not None:
+            for unit, number in product(range(1, units + 1), (numbers.ACCELERATION, numbers.DECELERATION)):
+                made.line.remote.do("parameter", unit=unit, number=number, raw=round(ramp_s * 10))
         made.configure(toml, turnaround_ms)
         made.environment = environment or {}
         made.installed = installed

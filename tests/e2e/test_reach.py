@@ -51,7 +51,7 @@ IS_CUT = "name => getComputedStyle(name).overflow === 'hidden' && name.scrollWid
 HAS_ELLIPSIS = (
     "name => getComputedStyle(name).textOverflow === 'ellipsis' && name.scrollHeight <= name.clientHeight"
 )
-Axe = Callable[[Page], list[str]]
+Axe = Callable[..., list[str]]
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def test_a_change_of_many_units_is_one_row_that_fits(shared_page: OpensPages, ax
     expect(shown.first).to_contain_text("verified")
     assert page.evaluate(TOO_WIDE) == []
     assert page.evaluate(CUT) == []
-    assert axe(page) == []
+    assert axe(page, part=".table--events") == []
 
 
 def test_on_paper_a_change_has_all_of_its_units(shared_page: OpensPages) -> None:

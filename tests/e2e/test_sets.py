@@ -22,7 +22,7 @@ PHONE = {"width": 360, "height": 740}
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
     """Three units at rest, at ten times the baud rate, so that a reading of all parameters is soon over."""
-    return line_server(3, line_options=("--no-script", "--speedup", "10"))
+    return line_server(3, line_options=("--no-script", "--speedup", "10"), ramp_s=20)
 
 
 def writes(served: Site, command: int) -> list[dict[str, Any]]:

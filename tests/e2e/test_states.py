@@ -10,7 +10,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
+from tests.e2e.conftest import AXE_LOOKS, AXE_RULES, ENGLISH, GERMAN, OpensPages
 from tests.e2e.pages import opened
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.sizes import sizes
@@ -43,7 +43,7 @@ BEHIND = """() => {
 }"""
 """What hides the middle of the element with the focus; null where nothing has it."""
 
-Axe = Callable[[Page], list[str]]
+Axe = Callable[..., list[str]]
 Flaws = Callable[[Page, str], list[str]]
 
 
@@ -60,14 +60,15 @@ def site(line_server: Callable[..., Site]) -> Site:
 
 
 def judged(page: Page, axe: Axe) -> list[str]:
-    """What axe finds by day on a wall and by night on a phone, in the state that the page is in."""
+    """What axe finds in the state that the page is in: by night on a phone, and of what depends on colors and
+    sizes, by day on a wall too."""
     found = []
-    for size, scheme in ((WALL, "light"), (PHONE, "dark")):
+    for size, scheme, rules in ((WALL, "light", AXE_LOOKS), (PHONE, "dark", AXE_RULES)):
         page.set_viewport_size(size)  # type: ignore[arg-type]
         page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
         # A target that is half scrolled under the bar at the edge is not too small.
         page.evaluate("scrollTo(0, 0)")
-        found += axe(page)
+        found += axe(page, only=rules)
     return found
 
 
