@@ -94,12 +94,14 @@ class Cancel(TaggedStruct, frozen=True, tag="cancel"):
 
 class Welcome(TaggedStruct, frozen=True, tag="welcome"):
     """The app's response to Hello. ``seq``: the last batch it has of this very worker (0: none). ``refused``:
-    why the app refuses this worker; empty if it does not."""
+    why the app refuses this worker; empty if it does not. ``held``: the units that may hold a staged speed of
+    an earlier worker."""
 
     version: int
     seq: Total
     app_time: Stamp
     refused: LongText = ""
+    held: Annotated[list[UnitId], Meta(max_length=MAX_UNITS)] = field(default_factory=list)
 
 
 class Delivered(TaggedStruct, frozen=True, tag="delivered"):

@@ -274,6 +274,11 @@ class Roster:
         record.staged, record.staged_unknown, record.staged_scale = raw, unknown, {}
         return [] if former == (raw, unknown) else [Staged(unit, at, raw, unknown)]
 
+    def note_held(self, units: Iterable[int], at: UnixTime) -> None:
+        """Note the units that may hold a speed which an earlier worker has staged in them."""
+        for unit in filter(self.is_configured, units):
+            self.stage(unit, None, at, unknown=True)
+
     def stage_unanswered(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
         """Note that 82h got no response: ``unit`` may hold the new speed or its former one. A unit that was
         away already has most likely received nothing."""

@@ -78,6 +78,7 @@ class BusWorker:
         self._results: OrderedDict[str, Result | None] = OrderedDict()
         self._traces = TraceReports(self.line.trace, bus.dialect, self._emit, self._epoch)
         self._leaving = False
+        self._was_linked = False
 
     async def run(self) -> None:
         """Run the line and its figures; the caller runs the uplink beside it."""
@@ -105,6 +106,13 @@ class BusWorker:
             port=self.bus.port,
             sent_at=self._epoch(),
         )
+
+    def note_held(self, units: Sequence[int]) -> None:
+        """Note at the first link, before any command, that it is unknown what these units would execute. A
+        later app knows less than this worker."""
+        if not self._was_linked:
+            self._was_linked = True
+            self.line.roster.note_held(units, self._epoch())
 
     def snapshot(self, seq: int) -> Snapshot:
         return Snapshot(

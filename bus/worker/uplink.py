@@ -216,6 +216,9 @@ class AppRequests(Protocol):
     def hello(self) -> Hello:
         """Return the first message, which names this worker."""
 
+    def note_held(self, units: Sequence[int]) -> None:
+        """Take, at each link, the units that may hold a staged speed of an earlier worker."""
+
     def snapshot(self, seq: int) -> Snapshot:
         """Return the complete state that is known now."""
 
@@ -360,6 +363,7 @@ class Uplink:
                 "install the same release of lineside on both"
             )
         self._app_clock.observe(welcome.app_time, self._epoch())
+        self._handler.note_held(welcome.held)
         return welcome
 
     async def _receive(self, socket: ClientConnection) -> None:

@@ -424,6 +424,23 @@ def test_what_a_unit_holds_staged_is_not_known_after_it_was_away_and_is_not_exec
     play(scene)
 
 
+def test_what_an_earlier_worker_staged_is_not_known_and_moves_with_no_other() -> None:
+    async def scene(line: VirtualLine, keypads: Keypads) -> None:
+        first, roster = keypads.units[0], line.worker.line.roster
+        first.staged = 300
+        line.worker.note_held([1, 99])
+        assert line.worker.snapshot(0).units[0].staged_unknown
+        for action in (ExecuteSpeed(1), ExecuteAll()):
+            assert ((await line.perform(action)).outcome, first.commanded) == ("refused", 500)
+        result = await line.perform(SetLine({2: 800, 3: 800}))
+        assert (result.outcome, first.commanded) == ("verified", 500)
+        line.worker.note_held([2])
+        assert not roster[1].staged_unknown, "its present speed was staged instead"
+        assert not roster[2].staged_unknown, "a later app does not know better"
+
+    play(scene)
+
+
 def test_what_82h_left_in_a_unit_without_a_response_is_not_known_and_moves_with_no_other() -> None:
     """Never broadcast while a stage is unacknowledged (protocol, 5)."""
 

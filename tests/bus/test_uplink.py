@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import ssl
 import time
-from collections.abc import AsyncIterator, MutableMapping
+from collections.abc import AsyncIterator, MutableMapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -44,10 +44,14 @@ class FakeReceiver:
 
     def __init__(self) -> None:
         self.requests: list[object] = []
+        self.held: Sequence[int] = ()
         self.news = asyncio.Event()
 
     def hello(self) -> Hello:
         return Hello(CONTRACT_VERSION, "b", "worker-1", 0.0, "test", "/dev/none", time.time())
+
+    def note_held(self, units: Sequence[int]) -> None:
+        self.held = units
 
     def snapshot(self, seq: int) -> Snapshot:
         return Snapshot(seq, time.time(), BusLink(0.0, "closed"), [])

@@ -1,4 +1,5 @@
-"""The worker of one bus, when another may replace it, and how far it was followed.
+"""The worker of one bus, when another may replace it, and how far it was followed; the units that may hold
+a staged speed when it is replaced.
 
 Commands are verified by what a worker reports, so a bus goes to another worker only once the former one is
 provably gone: it announced its end, or its connection ended and it did not return in time. A worker that
@@ -8,7 +9,7 @@ merely stalls (suspended, starved, behind a cut network) keeps its bus for longe
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Collection
+from collections.abc import Awaitable, Collection, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from math import inf
@@ -16,13 +17,15 @@ from typing import Protocol
 
 import structlog
 
+from app.core.database import Database, StoreConnection
+from app.errors import StoreError
 from app.line.feed.channel import Channel, MessageSink
 from app.line.feed.ingest import FeedQuota, Ingest, IngestPosition
 from app.line.feed.plausibility import Coverage
-from app.line.live.bus_live import NO_WORKER
+from app.line.live.bus_live import NO_WORKER, Audience, BusLive, held_units
 from app.line.pipeline import OTHER_RELEASE, Pipeline
 from app.version import VERSION
-from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
+from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Staged, Update, Welcome
 from bus.instants import Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
@@ -209,7 +212,8 @@ class BusFeed:
             await former.close(REPLACED)
         connection.admit()
         try:
-            await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, unix_now()))
+            held = self._pipeline.held_units
+            await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, unix_now(), held=held))
             await self._follow(hello, connection)
         except MalformedMessageError as error:
             _log.warning("bus worker sent a malformed message", bus=hello.bus, why=str(error))
@@ -263,6 +267,55 @@ class BusFeed:
             self._connection = None
             self._holder.connection_ended(ending, self.monotonic())
             self._pipeline.worker_disconnected(unix_now(), cause)
+
+
+STORE_AGAIN_S = 1.0
+
+
+@dataclass(eq=False)
+class HeldSpeeds:
+    """The record of which units of a bus may hold a staged speed. No request reads one back (82h), only the
+    worker that staged it knows, and the next broadcast (83h) would execute it."""
+
+    _live: BusLive
+    _database: Database
+    _stored: set[int] = field(default_factory=set)
+    _changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    async def load(self) -> None:
+        """Show the units that held one when the server ended as unknown, until their worker reports."""
+        query, bus = "SELECT unit FROM held_speed WHERE bus = ?", (self._live.settings.name,)
+        rows = await self._database.read(lambda connection: connection.execute(query, bus).fetchall())
+        self._stored = {unit for (unit,) in rows}
+        self._live.apply([Staged(unit, unix_now(), None, unknown=True) for unit in self._stored])
+        self._live.subscribe(Audience.DRIFT, self._note)
+
+    def _note(self, updates: Sequence[Update]) -> None:
+        if any(isinstance(update, Staged) for update in updates):
+            self._changed.set()
+
+    async def follow(self) -> None:
+        """Store each change, as long as the server runs."""
+        while await self._changed.wait():
+            self._changed.clear()
+            try:
+                await self._store(set(held_units(self._live)))
+            except StoreError:
+                self._changed.set()
+                await asyncio.sleep(STORE_AGAIN_S)
+
+    async def _store(self, held: set[int]) -> None:
+        if held == self._stored:
+            return
+        bus, stored = self._live.settings.name, self._stored
+
+        def write(connection: StoreConnection) -> None:
+            gone, new = ([(bus, unit) for unit in units] for units in (stored - held, held - stored))
+            connection.executemany("DELETE FROM held_speed WHERE bus = ? AND unit = ?", gone)
+            connection.executemany("INSERT OR IGNORE INTO held_speed VALUES (?, ?)", new)
+
+        await self._database.write(write)
+        self._stored = held
 
 
 async def send_away(connection: WorkerConnection, reason: Message, now: UnixTime) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from app.core.database import Database
 from app.core.web.services import Registry
 from app.feature import Feature, Services
 from app.line.feed import socket
-from app.line.feed.bus_feed import BusFeed
+from app.line.feed.bus_feed import BusFeed, HeldSpeeds
 from app.line.feed.channel import Channel
 from app.line.feed.socket import Workers
 from app.line.history.service import History
@@ -26,6 +27,8 @@ def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
     pipeline = bus.add(Pipeline(bus[BusLive], history, bus[ChangeRecorder]))
     feed = bus.add(BusFeed(bus.add(Channel()), pipeline))
     services[Hub].watchers[name] = feed.watch
+    held = HeldSpeeds(bus[BusLive], services[Database])
+    services.lifespan.add(f"staged speeds of {name}", held.follow, start=held.load)
     services.lifespan.add(f"feed of {name}", start=lambda: feed.load(history.newest(name)))
 
 

@@ -533,7 +533,12 @@ def figures_now(bus: BusLive, now: UnixTime) -> BusFigures | None:
 
 def units_staged(bus: BusLive) -> int:
     """Return the number of units that hold, or may hold, a staged setpoint."""
-    return sum(unit.staged is not None or unit.staged_unknown for unit in bus.units.values())
+    return len(held_units(bus))
+
+
+def held_units(bus: BusLive) -> list[int]:
+    """Return the addresses of the units that hold, or may hold, a staged setpoint."""
+    return [number for number, unit in bus.units.items() if unit.staged is not None or unit.staged_unknown]
 
 
 def draw_of(bus: BusLive, unit: UnitLive, now: UnixTime) -> Draw:

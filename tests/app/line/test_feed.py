@@ -10,10 +10,12 @@ import pytest
 from starlette.types import Message as AsgiMessage
 from starlette.websockets import WebSocket, WebSocketState
 
+from app.core.database import Database
 from app.line.feed import bus_feed
 from app.line.feed import socket as sockets
-from app.line.feed.bus_feed import Credential, Ending, Holder
+from app.line.feed.bus_feed import Credential, Ending, HeldSpeeds, Holder
 from app.line.feed.socket import GOING_AWAY, Workers, WorkerSocket
+from app.line.live.bus_live import bus_without_reports, held_units
 from app.line.pipeline import OTHER_RELEASE
 from app.people.audit.log import Filter
 from bus.contract import (
@@ -23,11 +25,12 @@ from bus.contract import (
     ClockSync,
     Command,
     Delivered,
+    Staged,
     WantSnapshot,
     Watch,
     Welcome,
 )
-from bus.instants import Monotonic, monotonic_now
+from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message, term
 from tests.app.complete_app import OWN_WORKER, House
 from tests.app.conftest import Kept
@@ -114,6 +117,30 @@ async def test_a_batch_before_the_snapshot_ends_it(site: House) -> None:
     await worker.update(reading(1, 777))
     await worker.gone()
     assert site.live.units[1].reading is None
+
+
+async def test_what_units_may_hold_staged_outlives_worker_and_server(site: House) -> None:
+    worker, live, database = await site.worker(), site.live, site.services[Database]
+    kept = "SELECT unit FROM held_speed"
+
+    def stored() -> list[int]:
+        return [unit for (unit,) in database.read_now(lambda connection: connection.execute(kept).fetchall())]
+
+    now = unix_now()
+    await worker.update(Staged(1, now, 300), Staged(2, now, None, unknown=True))
+    await until(lambda: stored() == [1, 2], "both units stored")
+    restarted = bus_without_reports(live.settings, unix_now())
+    await HeldSpeeds(restarted, database).load()
+    assert held_units(restarted) == [1, 2]
+    assert restarted.units[1].staged_unknown
+    await worker.leave(GOING_AWAY)
+    second = await site.connect()
+    await second.send(hello("w2"))
+    welcome = await second.receive(Welcome)
+    assert isinstance(welcome, Welcome)
+    assert welcome.held == [1, 2]
+    await second.send(snapshot())
+    await until(lambda: stored() == [], "both units removed, as this worker knows what they hold")
 
 
 @pytest.mark.usefixtures("quick_ticks")
