@@ -39,7 +39,7 @@ def test_every_call(api: Api, api_schema: BaseSchema) -> None:
         names.append(operation.label)
 
         @settings(
-            max_examples=settings.default.max_examples // 30,
+            max_examples=settings.default.max_examples // 20,
             phases=[Phase.generate],
             suppress_health_check=list(HealthCheck),
         )
