@@ -2,7 +2,7 @@
 and the WebSocket ``/live`` of a page.
 
 A change is rendered once for each language in use, and all pages of a language get the same bytes in the same
-turn. New measurements of units at speed and of many units that move, and in a flood of changes or with very
+turn. New measurements of steady units and of many units that move, and in a flood of changes or with very
 many pages every change, are held back for a moment and go together. Age, which no worker reports, is checked
 once a second; the same tick is the heartbeat that every page draws.
 
@@ -46,7 +46,7 @@ from app.line.live.fields import (
     unit_key,
 )
 from app.line.live.requests import Admission, key_of
-from app.line.live.screen import ALARM_GROUP, LINE_GROUP, Change, Screen, holders
+from app.line.live.screen import ALARM_GROUP, LINE_GROUP, Screen, holders
 from app.line.live.sources import LineFields, Sources
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
@@ -56,11 +56,8 @@ from bus.pacing import Bucket
 FLOOD = 60
 WINDOW_S = 0.25
 """The changed units within a window that make a flood, more than six full wires bring. In a flood updates go
-out once per window, because pages could not draw them all; so do new measurements, because drawing each by
-itself takes a browser three times the CPU."""
-MOVING_A_SECOND, MAX_AHEAD = 10.0, 30
-"""New speeds of moving units that go at once, in the long run and beyond that: those of the unit
-that a page shows alone, and the first ones of many."""
+out once per window, because pages could not draw them all; so do new measurements that may wait, because
+drawing each by itself takes a browser three times the CPU."""
 
 FEW_PAGES = 40
 MAX_SENDS_S = 2000
@@ -70,8 +67,8 @@ second each, 40 and fewer one for each response."""
 
 @dataclass(slots=True)
 class Flow:
-    """The rate at which open pages are updated: on every response, except of steady units, while many units
-    ramp, in a flood or with very many pages."""
+    """The rate at which open pages are updated: on every response, unless the change may wait, in a flood or
+    with very many pages."""
 
     clock: MonotonicClock = monotonic_now
     _gap_s: float = 0.0
@@ -79,7 +76,6 @@ class Flow:
     _count: int = 0
     _flooded: bool = False
     _sent_at: Monotonic = Monotonic(-math.inf)
-    _ahead: Bucket = field(default_factory=lambda: Bucket(MOVING_A_SECOND, MAX_AHEAD))
 
     def share(self, pages: int) -> None:
         """Set the number of open pages."""
@@ -93,21 +89,12 @@ class Flow:
             self._began, self._count = now, 0
         self._count += units
 
-    def pause_s(self, change: Change = "state") -> float:
-        """Return the seconds to wait before pages are sent the next update: 0 unless all changed units are
-        steady, many of them move, changes come in a flood, or very many pages are open."""
-        now = self.clock()
-        is_held = change == "steady" or (change == "moving" and self._move_often(now))
+    def pause_s(self, *, may_wait: bool = False) -> float:
+        """Return the seconds to wait before pages are sent the next update: 0 unless the change may wait,
+        changes come in a flood, or very many pages are open."""
         is_flooded = self._flooded or self._count > FLOOD
-        gap_s = max(self._gap_s, WINDOW_S if is_held or is_flooded else 0.0)
-        return max(0.0, self._sent_at + gap_s - now)
-
-    def _move_often(self, now: Monotonic) -> bool:
-        """Count a new speed of a unit that moves; return whether those of many units come."""
-        is_often = not self._ahead.take(now)
-        if is_often:
-            self._ahead.fill(now)
-        return is_often
+        gap_s = max(self._gap_s, WINDOW_S if may_wait or is_flooded else 0.0)
+        return max(0.0, self._sent_at + gap_s - self.clock())
 
     def sent(self) -> None:
         self._sent_at = self.clock()
@@ -199,7 +186,7 @@ class Broadcast:
             return
         self.flow.came(len(groups) or 1)
         merge_groups(self._held, groups)
-        pause_s = self.flow.pause_s(self.screen.change_of(groups))
+        pause_s = self.flow.pause_s(may_wait=self.screen.may_wait(groups))
         loop = asyncio.get_running_loop()
         due = loop.time() + pause_s
         if self._due is not None:

@@ -11,13 +11,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from app.core.web.formats import UNKNOWN
 from app.line.conditions.condition import PRIORITIES
 from app.line.live.bus_live import (
     BusLive,
     LiveState,
+    MotionState,
     UnitLive,
     draw_of,
     figures_now,
@@ -66,9 +67,10 @@ NO_BREAK = "\u00a0"
 Views = Mapping[str, UnitView]
 """The presentation of each unit, by the group of its fields."""
 
-Change = Literal["state", "moving", "steady"]
-"""What has changed: more than what each reading measures anew, or only that of a unit that moves, or of units
-at speed."""
+STEADY: frozenset[MotionState] = frozenset({"at_speed", "at_zero", "stopped"})
+FEW_MOVING = 8
+"""The most moving units of which pages get each reading by itself, which takes a browser up to a third of a
+core; the readings of more go together."""
 
 
 class NamedCause(NamedTuple):
@@ -314,12 +316,18 @@ class Screen:
         """Set fields of a group; return those that changed."""
         return put_fields(self.shown, group, fields)
 
-    def change_of(self, groups: Groups) -> Change:
-        """Return what kind of change this is, by the state of its units after it."""
+    def may_wait(self, groups: Groups) -> bool:
+        """Return whether a change may go together with later ones: it has only new measurements, of steady
+        units or while many move."""
         if not groups or any(fields.keys() - MEASURED for fields in groups.values()):
-            return "state"
-        is_at_speed = all(self.shown[group].get("state") == "at_speed" for group in groups)
-        return "steady" if is_at_speed else "moving"
+            return False
+        is_steady = all(self.shown[group].get("state") in STEADY for group in groups)
+        return is_steady or self._moving() > FEW_MOVING
+
+    def _moving(self) -> int:
+        """Return the number of units online that are not steady."""
+        views = self._views.values()
+        return sum(view.unit.motion.state not in STEADY and view.link == "online" for view in views)
 
     def flat(self) -> Fields:
         """Return everything shown, by ``group.field``, for the first paint of a page."""

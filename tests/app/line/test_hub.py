@@ -14,24 +14,14 @@ from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.templating import Templates
 from app.line.live.browser import Browser, Diff
 from app.line.live.bus_live import LiveState
-from app.line.live.hub import (
-    FEW_PAGES,
-    FLOOD,
-    MAX_AHEAD,
-    MAX_SENDS_S,
-    WINDOW_S,
-    Broadcast,
-    Flow,
-    Hub,
-    Watched,
-)
+from app.line.live.hub import FEW_PAGES, FLOOD, MAX_SENDS_S, WINDOW_S, Broadcast, Flow, Hub, Watched
 from app.line.live.requests import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, Admission, key_of, new_command_id
-from app.line.live.screen import Screen
+from app.line.live.screen import FEW_MOVING, Screen
 from app.settings import Site
-from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures
+from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures, UnitLink
 from bus.messages import term
 from tests.app.played_sources import played_sources
-from tests.app.screens import line, reading, screen
+from tests.app.screens import HEALTHY, REMOTE, line, reading, screen
 
 
 def flow() -> tuple[Flow, list[float]]:
@@ -129,19 +119,24 @@ async def test_what_a_unit_at_speed_measures_waits_for_any_other_change() -> Non
     assert (diff["n"], diff["f"]) == (2, {GROUP: {"actual": "2", "at": "2", "state": "ramping_up"}})
 
 
-async def test_what_one_moving_unit_measures_goes_at_once_and_of_many_together() -> None:
-    made = broadcast(flow()[0])
-    browser = joined(made)
-    made.screen.shown[GROUP]["state"] = "ramping_up"
-    for number in range(1, MAX_AHEAD + 1):
-        made.publish({GROUP: {"actual": str(number)}})
-        assert made.number == number
-    made.publish({GROUP: {"actual": "700"}})
-    assert made.number == MAX_AHEAD
-    made.publish({GROUP: {"state": "at_speed"}})
-    assert made.number == MAX_AHEAD + 1
-    *_, diff = await sent_by(browser)
-    assert diff["f"][GROUP]["actual"] == "700"
+def test_what_moving_units_measure_goes_at_once_unless_many_move() -> None:
+    live = line(FEW_MOVING + 2)
+    shown = screen(live)
+
+    def may_wait(unit: int, **values: int) -> bool:
+        live.buses["dry"].apply([reading(unit, at=100.1, **values)])
+        shown.render("dry", [unit], 100.1, include_bus=False)
+        return shown.may_wait({f"dry/{unit}": {"actual": "1"}})
+
+    ramps: dict[str, int] = {"actual": 1000, "outputs": REMOTE}
+    assert may_wait(FEW_MOVING + 2, actual=0, outputs=REMOTE, inputs=HEALTHY), "one that stands still"
+    assert not any(may_wait(unit, **ramps) for unit in range(1, FEW_MOVING + 1))
+    assert may_wait(FEW_MOVING + 1, **ramps)
+    assert not shown.may_wait({GROUP: {"actual": "1", "state": "at_speed"}}), "a state never waits"
+    live.buses["dry"].apply([UnitLink(unit=2, at=100.1, link="offline")])
+    shown.render("dry", [2], 100.1, include_bus=False)
+    assert not may_wait(1, **ramps), "few are left online"
+    assert may_wait(1), "one that has arrived"
 
 
 async def test_among_very_many_delayed_changes_go_as_one() -> None:
