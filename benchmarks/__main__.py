@@ -11,7 +11,7 @@ TABLES = {
     "commands": "a command: from the request to the wire, and many units as one",
     "screen": "the screen: from the wire to the pixel, with many browsers",
     "board": "the board: 8 to 255 units changing four times a second, on a slow device",
-    "tiles": "sixteen moving tiles with their curves: what the browser uses",
+    "tiles": "sixteen and eight moving tiles with their curves: what the browser uses",
     "press": "speed felt: from a press to its picture, on a slow device",
     "screen_memory": "the board: what a page keeps after ten minutes (only when named)",
     "sets": "parameter sets: a backup on the wire",

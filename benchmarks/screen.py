@@ -11,6 +11,7 @@ from pathlib import Path
 from playwright.sync_api import Page
 
 from app.line.live.requests import MAX_OF_ACCOUNT
+from app.line.live.screen import FEW_MOVING
 from benchmarks.first_visit import show_first_visit
 from benchmarks.onlookers import onlookers
 from benchmarks.page import viewer_page
@@ -49,7 +50,7 @@ def run() -> None:
                 show_first_visit(served, page.context.browser)
             rows += _crowds(served, page, CROWDS if units == UNITS else GROWTH_CROWDS)
     header = ["units, browsers", "changes", "median", "p99", "server", "worker", "memory", "a browser more"]
-    note = "CPU of one core, memory of both. " + NODE_RED
+    note = f"CPU of one core, memory of both. Speeds of more than {FEW_MOVING} units go together. {NODE_RED}"
     show("A response's last byte → changed text in Chromium", header, rows, note)
 
 
