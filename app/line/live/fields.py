@@ -35,6 +35,7 @@ from bus.catalogue.parameters import (
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,
     AT_SPEED_WINDOW,
+    DECIMALS,
     MAX_DISPLAY,
     RATIO_SETPOINT,
 )
@@ -246,6 +247,10 @@ _NEVER: Fields = {
 
 def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, translator: Translator) -> Fields:
     decimals, deviation = speed_decimals(bus, unit), reading.deviation
+    if DECIMALS not in unit.parameters:
+        # Its decimal point is not known: 1196 may be 119.6.
+        unknown = dict.fromkeys(("actual", "commanded", "deviation"), UNKNOWN)
+        return {**unknown, "setpoint": [None, None], "analog": _analog(unit, reading.analog, translator)}
     return {
         "actual": _speed(reading.actual, decimals, translator),
         "commanded": _speed(reading.commanded, decimals, translator),

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from app.core.web.formats import UNKNOWN
 from app.errors import Problem
 from app.line.alarms.own_condition import known_decimals
 from app.line.commands.limits import NO_LIMITS
@@ -69,6 +70,16 @@ def test_what_converts_and_bounds_each_kind_of_value(bus: BusLive) -> None:
 
 def state_text(bus: BusLive) -> str:
     return str(unit_fields(bus, bus.units[1], "online", translator())["state_text"])
+
+
+def test_a_speed_is_not_shown_before_its_decimals_are_read(bus: BusLive) -> None:
+    unit = bus.units[1]
+    bus.apply([reading(1, 1.0)])
+    assert unit_fields(bus, unit, "online", translator())["actual"] == "120.0"
+    unit.parameters.clear()
+    fields = unit_fields(bus, unit, "online", translator())
+    assert [fields[name] for name in ("actual", "commanded", "deviation")] == [UNKNOWN] * 3
+    assert "scale is being read" in fields["state_text"]
 
 
 def test_one_parameter_changed_at_the_keypad_makes_the_scale_old_until_it_is_read_again(bus: BusLive) -> None:
