@@ -18,7 +18,7 @@ import certifi
 import pytest
 import structlog
 from argon2 import PasswordHasher
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis.strategies import text
 from jinja2 import Environment
 
@@ -31,8 +31,14 @@ from app.core.database.migration import MIGRATIONS, Migration, bring_up_to_date
 from app.core.web.assets import Assets
 from tests.made_once import compiling_once, describing_once, reading_once
 
+# A busy machine is no fault of an example.
 settings.register_profile(
-    "lineside", derandomize=True, deadline=None, max_examples=20, stateful_step_count=25
+    "lineside",
+    derandomize=True,
+    deadline=None,
+    max_examples=20,
+    stateful_step_count=25,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 # In `make soak`: other examples in each run, and many.
 settings.register_profile("soak", deadline=None, max_examples=1000)
