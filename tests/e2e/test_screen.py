@@ -368,6 +368,7 @@ def test_on_a_phone_the_faceplate_is_a_sheet_below_the_line(
 def test_a_panel_is_cleaned_without_setting_anything(browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/")
     page.clock.install()
+    page.get_by_role("button", name="operator").click()
     page.get_by_role("button", name="Clean screen").click()
     expect(page.locator(".cover--clean")).to_contain_text("30 s")
     page.mouse.click(200, 300)
