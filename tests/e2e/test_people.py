@@ -331,7 +331,7 @@ def test_a_large_step_wants_a_review_on_every_path(
 def test_a_block_holds_on_every_path(site: Site, holder: httpx.Client, staged_and_saved: int) -> None:
     api = "/api/v1/buses/line"
     assert holder.post(f"{api}/units/1/speed", json={"raw": 640, "execute": False}).status_code == 200
-    other = {"set": _a_set(holder), "from_unit": 2}
+    other = {"set": _a_set(holder), "from_unit": 2, "include": [20]}
     planned = holder.post(f"{api}/units/1/restores", json=other).json()
     assert holder.post(f"{api}/units/1/block", json={"reason": "belt off since 14:20"}).status_code == 200
     before = received_writes(site)
