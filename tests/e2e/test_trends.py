@@ -386,6 +386,7 @@ def test_a_killed_server_loses_a_second_at_most_and_no_event(own_site: Site, kil
         wait_for_reading_after(own_site, began + 1)
         killed = time.time()
         own_site.stop(signal.SIGKILL)
+        time.sleep(2)  # a second of the history is empty
         own_site.start()
         own_site.wait_for_units()
         wait_for_reading_after(own_site, killed + 1)

@@ -156,9 +156,9 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
 
 @pytest.mark.provokes("WebSocket")
 def test_a_killed_server_is_shown_and_everything_comes_back_with_it(
-    own_site: Site, shared_page: OpensPages
+    own_site: Site, browser_page: OpensPages
 ) -> None:
-    page = opened(shared_page(site=own_site, viewport=PANEL), "/")
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     own_site.stop(signal.SIGKILL)
     expect(page.locator(LOST)).to_be_attached()
     expect(page.locator("[data-gone-cause]")).to_contain_text("closed")
