@@ -57,7 +57,9 @@
       // A script presses what a person pressed before it was there.
       if (!event.isTrusted) return;
       const acting = event.target instanceof Element ? event.target.closest(ACTS) : null;
-      const tap = { at: Date.now(), x: event.clientX, y: event.clientY, isTouch: event.detail > 0 };
+      // When the finger was there: a busy page gets the tap later.
+      const at = performance.timeOrigin + event.timeStamp;
+      const tap = { at, x: event.clientX, y: event.clientY, isTouch: event.detail > 0 };
       const before = last();
       if (acting && before && isSecond(acting, tap, before)) {
         event.preventDefault();

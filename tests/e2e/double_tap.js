@@ -7,8 +7,8 @@
   const GOES_ON = "[data-review-act], [data-undo] button";
   const stored = (name) => Number(sessionStorage.getItem(name) ?? 0);
 
-  const real = Date.now;
-  Date.now = () => real() + stored(LATER);
+  const { timeOrigin } = performance;
+  Object.defineProperty(performance, "timeOrigin", { get: () => timeOrigin + stored(LATER) });
   // Behind the rule of second-tap.js, before what a button does.
   document.addEventListener(
     "click",
@@ -64,6 +64,11 @@
   const buttons = () => {
     for (const each of document.querySelectorAll("[data-test-button]")) delete each.dataset.testButton;
     for (const each of document.querySelectorAll("main details")) each.open = true;
+    // A drawer that the page has is part of the page; what another page fills stays a drawer.
+    for (const each of document.querySelectorAll("main .drawer:not(#edit)")) {
+      each.popover = null;
+      each.style.position = "static";
+    }
     for (const each of document.querySelectorAll("[data-typed]")) type(each, each.dataset.typed);
     return [...document.querySelectorAll(PRESSED)]
       .filter(canBePressed)
@@ -83,6 +88,7 @@
     else if (kind === "password") type(field, password);
     else if (["text", "textarea", "search"].includes(kind) && !value)
       type(field, inputMode === "numeric" ? "1" : "tapped twice");
+    if (!field.required && !field.checkValidity()) type(field, "");
   };
 
   /** The middle of a button whose form is filled in; null where it is covered. */

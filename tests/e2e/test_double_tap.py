@@ -1,4 +1,4 @@
-"""Two taps within 50 ms on every button of every page change one thing.
+"""Two taps within 30 ms on every button of every page change one thing.
 
 The walk presses each kind of button once: what a press opens (a review, its strip, the undo) comes next. A
 kind is what a button does, without the number of its unit or row. Between two pairs the test lets time pass.
@@ -7,6 +7,7 @@ kind is what a button does, without the number of its unit or row. Between two p
 from __future__ import annotations
 
 import re
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -78,6 +79,23 @@ DANGEROUS = (
 
 STAYS = r"^(?!.*(/logout|/account/language))"
 """Not what ends the session, or changes the words of the buttons: both are in the menu of every page."""
+
+
+def tap_twice(page: Page, x: float, y: float) -> None:
+    """Press a place twice at times that are stated: a busy browser takes them with as little between."""
+    at, devtools = time.time(), page.context.new_cdp_session(page)
+    steps = [(kind, count) for count in (1, 2) for kind in ("mousePressed", "mouseReleased")]
+    for number, (kind, count) in enumerate(steps):
+        tap = {"x": x, "y": y, "button": "left", "clickCount": count, "timestamp": at + number / 100}
+        devtools.send("Input.dispatchMouseEvent", {"type": kind, **tap})
+    devtools.detach()
+
+
+def middle_of(page: Page, name: str) -> tuple[float, float]:
+    """The middle of a button."""
+    box = page.get_by_role("button", name=name).bounding_box()
+    assert box is not None
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
 @dataclass
@@ -163,7 +181,7 @@ class Walk:
     def _tap_twice(self, path: str, kind: str, place: list[float]) -> None:
         self.page.evaluate("walk.later()")
         self.sent.clear()
-        self.page.mouse.dblclick(*place, delay=5)
+        tap_twice(self.page, *place)
         presses = self._at_rest("presses")
         # What came in between is under the finger: the button is pressed another time.
         if presses or self.missed[kind] == MAX_MISSES:
@@ -268,7 +286,7 @@ def test_two_taps_create_one_first_admin(new_site: Site, browser_page: OpensPage
     page.locator("[name=name]").fill("ada")
     page.locator("[name=password]").fill(PASSWORD)
     page.locator("[name=again]").fill(PASSWORD)
-    page.get_by_role("button", name="Create the first admin").dblclick(delay=5)
+    tap_twice(page, *middle_of(page, "Create the first admin"))
     expect(page.locator("body[data-link=live]")).to_be_attached()
     assert len(sent) == 1
 
@@ -281,6 +299,6 @@ def test_two_taps_sign_in_once(site: Site, browser_page: OpensPages) -> None:
     page.goto(f"{site.url}/login")
     page.locator("[name=name]").fill("operator")
     page.locator("[name=password]").fill(PASSWORD)
-    page.get_by_role("button", name="Log in").dblclick(delay=5)
+    tap_twice(page, *middle_of(page, "Log in"))
     expect(page.locator("body[data-link=live]")).to_be_attached()
     assert len(sent) == 1

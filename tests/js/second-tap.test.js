@@ -30,11 +30,10 @@ async function openBrowser({ keeps = true } = {}) {
   return {
     openPage,
     press(target, ms, { x = 0, y = 0, byKey = false } = {}) {
-      Date.now = () => ms;
       let gets = true;
       const preventDefault = () => (gets = false);
-      const detail = byKey ? 0 : 1;
-      listener({ isTrusted: true, target, clientX: x, clientY: y, detail, preventDefault, stopImmediatePropagation() {} });
+      const pressed = { isTrusted: true, timeStamp: ms, target, clientX: x, clientY: y, detail: byKey ? 0 : 1 };
+      listener({ ...pressed, preventDefault, stopImmediatePropagation() {} });
       return gets;
     },
   };
