@@ -124,6 +124,7 @@ interface DocumentEventMap {
   "lineside:idle": CustomEvent;
   "lineside:lines": CustomEvent<string[]>;
   "lineside:lost": CustomEvent;
+  "lineside:reported": CustomEvent;
   "htmx:after:swap": CustomEvent<{ ctx: HtmxRequest }>;
   "htmx:before:request": CustomEvent<{ ctx: HtmxRequest }>;
   "htmx:config:request": CustomEvent<{ ctx: HtmxRequest }>;

@@ -53,9 +53,9 @@ async function drawFlags(unit, { flags }) {
     );
   const came = alarms
     .filter(({ t }) => t >= from)
-    .map(({ t, name, priority }) => {
+    .map(({ t, until, name, priority }) => {
       const mark = flag(t, from, "minutes__alarm alarm-priority", name);
-      mark.dataset.is = priority;
+      mark.dataset.is = until === null ? priority : `${priority} cleared`;
       const shape = document.createElement("i");
       shape.className = "alarm-priority__shape";
       mark.append(shape);

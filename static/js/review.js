@@ -290,10 +290,12 @@ export function start() {
     if (target?.matches(PLACE)) opened(target);
     else if (source.matches("[data-review]")) dismiss();
     if (target?.querySelector?.("[data-added]")) added(source);
+    if (!target?.matches("[role=status]") || !target.firstElementChild || isAutomatic(source)) return;
+    // What a message takes the place of may have had an undo.
+    document.dispatchEvent(new CustomEvent("lineside:reported"));
     // A message beside a field may be outside the window: on a phone the button is a pad below it. Scroll only for
     // the person who clicked.
-    if (target?.matches("[role=status]") && target.firstElementChild && !isAutomatic(source))
-      target.scrollIntoView({ block: "nearest" });
+    target.scrollIntoView({ block: "nearest" });
   });
   document.addEventListener("htmx:error", (event) => {
     const form = content.querySelector("[data-pending]");

@@ -186,7 +186,7 @@ def test_a_closed_bus_leaves_the_other_its_controls(site: Site, shared_page: Ope
     wet(site).remote.do("unplug")
     try:
         expect(page.locator("h1")).to_contain_text("wet · Port closed since")
-        expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("1")
+        expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("2")
         expect(page.locator('[data-unit="wet/1"]')).not_to_have_attribute("data-quality", "online")
         expect(page.locator('[data-unit="line/1"]')).to_have_attribute("data-quality", "online")
         opened(page, "/setpoints")

@@ -8,7 +8,7 @@ from decimal import Decimal
 from zoneinfo import ZoneInfo
 
 from babel.dates import format_skeleton, format_time
-from babel.numbers import get_decimal_symbol
+from babel.numbers import format_decimal, get_decimal_symbol
 
 from app.core.messages.languages import UTC, day, locale_of, minute, moment
 from bus.instants import UnixTime
@@ -103,6 +103,10 @@ class Formats:
         if raw is None:
             return UNKNOWN
         return self.point(f"{Decimal(raw).scaleb(-(decimals or 0)):f}")
+
+    def count(self, number: int) -> str:
+        """Format a number of things, with the separator of thousands of this locale."""
+        return format_decimal(number, locale=self.locale)
 
     def number(self, value: float | Decimal | None, digits: int = 0) -> str:
         """Format a measured value with a fixed number of decimals."""

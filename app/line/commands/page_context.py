@@ -116,13 +116,17 @@ class PageContext:
         missing. A press on ``nearest`` enters it."""
         response = self.render(
             "unit/_no_review.html",
-            reason=reason if isinstance(reason, Message) else reason.message,
+            reason=self.explanation(reason if isinstance(reason, Message) else reason.message),
             nearest=nearest,
             controlled=_controlled(reason),
             status=status,
         )
         response.headers["HX-Retarget"] = place
         return response
+
+    def explanation(self, reason: Message) -> str:
+        """Return a reason in the reader's language."""
+        return self.translator.t(reason)
 
     def refused(self, problem: Problem, title: str) -> Response:
         """Render the end of a review that sent nothing, in the dialog."""
@@ -288,6 +292,11 @@ class UnitPage(BusPage):
         self.unit: UnitLive = unit_of_bus_or_404(self.bus, unit)
         self.title = self.unit.settings.name
         self.on_line = self.shown(unit)
+
+    def explanation(self, reason: Message) -> str:
+        """Return a reason in the reader's language, without the unit, which the page names."""
+        prefix = self.translator.t(Message.of("unit_address", unit=self.id))
+        return super().explanation(reason).removeprefix(f"{prefix}: ")
 
     def neighbor(self, step: Literal[-1, 1]) -> UnitOnLine | None:
         """Return the unit before or after this one in floor order; None at an end of the bus."""

@@ -347,6 +347,7 @@ class Hub:
             for bus, unit in units:
                 fields = self._sources.unit_alarm(bus, unit, screen.translator, now)
                 groups |= screen.put(unit_key(bus, unit), fields)
+            groups |= screen.show_line(now)
             broadcast.publish(groups)
 
     def show_control(self) -> None:

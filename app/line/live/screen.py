@@ -8,7 +8,7 @@ for what a worker reported, `Screen.render_aged` once a second for what only tim
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import NamedTuple
@@ -114,11 +114,14 @@ def line_fields(
     found: Sequence[NamedCause],
     translator: Translator,
     now: UnixTime,
+    alarmed: Set[str] = frozenset(),
 ) -> Fields:
-    """Return the fields of the line. ``found``: everything abnormal, the worst first. The verdict is the
-    worst cause (``cause``) after the name of its unit (``name``), which a narrow page may drop; ``untimed``
-    is the cause without its time, which the pages of units and alarms state beside the condition."""
+    """Return the fields of the line. ``found``: everything abnormal, the worst first; ``alarmed``: the units
+    with an active alarm. The verdict is the worst cause (``cause``) after the name of its unit (``name``),
+    which a narrow page may drop; ``untimed`` is the cause without its time, which the pages of units and
+    alarms state beside the condition."""
     counts = state_counts(views.values())
+    abnormal = len(_abnormal_units(buses, found) | alarmed)
     worst = verdict_of(found)
     if worst is not None:
         texts = cause_texts(worst.cause, translator, now)
@@ -133,12 +136,21 @@ def line_fields(
         "cause": f"· {cause}" if name else cause,
         "untimed": f"· {untimed}" if name else untimed,
         "at": worst.href if worst else "",
-        "counts": translator.t(Message.of("line_abnormal", n=len(found))) if found else "",
+        "counts": translator.t(Message.of("line_abnormal", n=abnormal)) if abnormal else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
-        "abnormal": f"{len(found)}",
+        "abnormal": f"{abnormal}",
         "staged": f"{sum(map(units_staged, buses.values())) or ''}",
         "named": _named(found, worst.key if worst else "", views, translator, now),
     } | _figures(buses, translator, now)
+
+
+def _abnormal_units(buses: Mapping[str, BusLive], found: Iterable[NamedCause]) -> set[str]:
+    """Return the units that are abnormal: of a bus that is the cause, all."""
+    units: set[str] = set()
+    for each in found:
+        bus = buses.get(each.key)
+        units |= {each.key} if bus is None else {unit_key(each.key, number) for number in bus.units}
+    return units
 
 
 def verdict_line(cause: Cause, translator: Translator, now: UnixTime) -> str:
@@ -147,9 +159,12 @@ def verdict_line(cause: Cause, translator: Translator, now: UnixTime) -> str:
     return f"{line} · {translator.t(NO_ALARM)}" if cause.code == "run_off" else line
 
 
-def running_at(bus: BusLive) -> Message | None:
-    """Return the speed of a line: that of its first unit as commanded, such as ``120.0 m/min``; None if that
-    is not known, or is a ratio to another unit."""
+def _running_at(buses: Mapping[str, BusLive]) -> Message | None:
+    """Return the speed of the only line: that of its first unit as commanded, such as ``120.0 m/min``; None
+    if that is not known, or is a ratio to another unit, and for several lines, which may differ."""
+    if len(buses) != 1:
+        return None
+    [bus] = buses.values()
     first = next(iter(bus.units.values()), None)
     if first is None or first.reading is None or follower(first):
         return None
@@ -159,11 +174,6 @@ def running_at(bus: BusLive) -> Message | None:
     value = Message.of(NUMBER, value=f"{Decimal(commanded).scaleb(-decimals)}")
     measure = first.settings.labels.unit
     return Message.of("line_speed", value=value, unit=measure) if measure else value
-
-
-def _running_at(buses: Mapping[str, BusLive]) -> Message | None:
-    """Return the speed of the only line; None for several, which may have different speeds."""
-    return running_at(next(iter(buses.values()))) if len(buses) == 1 else None
 
 
 def all_well(units: int, counts: Counter[str], speed: Message | None) -> Message:
@@ -246,15 +256,20 @@ def _figures(buses: Mapping[str, BusLive], translator: Translator, now: UnixTime
 LINE_GROUP = "line_summary"
 """The group of the totals: a name that no bus can have, as a slug has no underscore."""
 ALARM_GROUP = "alarms_present"
-_DECIDES = {"link", "state", "level", "cause", "staged"}
+_DECIDES = {"link", "state", "level", "cause", "staged", "alarm"}
 """Fields of a unit whose change may change the verdict and the totals of the line."""
 MAX_DEPARTED = 3
 """The most units that differ from a recipe and are named; beyond it a number, and the page of recipes."""
 
 
+def _is_active(mark: str) -> bool:
+    """Return whether an alarm that is drawn so is active."""
+    return bool(mark) and "cleared" not in mark
+
+
 def _says_since(alarm: Fields, cause: Cause | None, bus: str, unit: int) -> bool:
     """Return whether the alarm of a unit is that of its cause and active: its text then has the time."""
-    if cause is None or "cleared" in str(alarm.get("alarm", "")):
+    if cause is None or not _is_active(str(alarm.get("alarm", ""))):
         return False
     return str(alarm.get("alarm_at", "")).startswith(f"/alarms/{bus}.{unit}.{cause.code}.")
 
@@ -283,7 +298,7 @@ class Screen:
             recipe = {"recipe": self._recipe(bus_name)}
             changed |= self.put(bus_name, bus_fields(bus, self.translator, now) | recipe)
         if include_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
-            changed |= self.put(LINE_GROUP, self._line(now))
+            changed |= self.show_line(now)
             before, self._worst = self._worst, str(self.shown[LINE_GROUP]["at"]).removeprefix("/units/")
             for key in {before, self._worst} & self._briefs.keys():
                 merge_groups(changed, self.put(key, {"brief": self._brief(key)}))
@@ -309,7 +324,7 @@ class Screen:
         """Render everything. A server without a bus has totals too."""
         buses = self.live.buses.items()
         if not buses:
-            return self.put(LINE_GROUP, self._line(now))
+            return self.show_line(now)
         return merge_groups({}, *(self.render(name, bus.units, now, include_bus=True) for name, bus in buses))
 
     def put(self, group: str, fields: Fields) -> Groups:
@@ -379,6 +394,9 @@ class Screen:
             message = Message.of("recipe_with_drift", name=name, units=listed(departed))
         return self.translator.t(message)
 
-    def _line(self, now: UnixTime) -> Fields:
+    def show_line(self, now: UnixTime) -> Groups:
+        """Render the totals; return those that changed."""
         buses, views = self.live.buses, self._views
-        return line_fields(buses, views, abnormal_of(buses, views, now), self.translator, now)
+        alarmed = {key for key in views if _is_active(str(self.shown[key].get("alarm", "")))}
+        found = abnormal_of(buses, views, now)
+        return self.put(LINE_GROUP, line_fields(buses, views, found, self.translator, now, alarmed))

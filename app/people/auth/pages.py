@@ -500,7 +500,8 @@ async def create_token(
     typed = {"token": token, "token_role": token_role, "token_bus": token_bus, "expires": expires}
     try:
         role, days = role_named(token_role, Role), _days(expires)
-        secret = await create(token, role, bus=token_bus, expires_days=days, by=by)
+        bus = token_bus if role == Role.WORKER else ""
+        secret = await create(token, role, bus=bus, expires_days=days, by=by)
     except CallerError as error:
         return await page.render(fault=error, opened="add-token", typed=typed)
     return await page.render(token_name=token, token=secret)

@@ -29,7 +29,7 @@ from app.line.live.diagnosis import (
     unit_cause,
 )
 from app.line.live.fields import Translator
-from app.line.live.screen import LEVELS, all_well, running_at
+from app.line.live.screen import LEVELS, all_well
 from app.line.live.sources import Sources
 from app.people.audit.entry import EventKind
 from app.people.audit.log import Event, EventLog, Filter, Logged
@@ -151,7 +151,7 @@ def summary_of(
         bus.settings.name,
         site,
         cause.level if cause else "",
-        all_well(len(views), counts, running_at(bus)),
+        all_well(len(views), counts, None),
         len(views),
         dict(counts),
         _by_priority(alarm for alarm, _ in known if alarm.facts.active),

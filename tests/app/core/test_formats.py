@@ -48,6 +48,7 @@ def test_fixed_is_exact(raw: int, decimals: int) -> None:
 def test_numbers() -> None:
     assert Formats("de").number(3.14159, 2) == "3,14"
     assert Formats("de").number(None) == UNKNOWN
+    assert [Formats(tag).count(17_280) for tag in ("en", "de")] == ["17,280", "17.280"]
 
 
 def test_times_are_the_sites() -> None:

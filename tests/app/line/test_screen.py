@@ -231,11 +231,12 @@ def test_a_unit_is_named_with_its_bus_where_there_are_several() -> None:
     assert name_on_site("wet", "Nip", ["wet", "dry"]) == "wet · Nip"
 
 
-def test_what_is_abnormal_is_counted_and_a_bus_is_named() -> None:
+def test_units_abnormal_or_with_an_alarm_are_counted_and_a_bus_is_named() -> None:
     units = [NamedCause(f"dry/{n}", f"Unit {n}", abnormal("estop_active")) for n in range(1, 41)]
     found = [*units, NamedCause("wet", "wet", abnormal("no_unit_yet"))]
-    fields = line_fields({}, {}, found, translator("en"), UnixTime(1_000_000.0))
-    assert (fields["abnormal"], fields["counts"], fields["name"]) == ("41", "41 abnormal", "Unit 1")
+    wet, alarmed = {"wet": line(4).buses["dry"]}, {"dry/1", "dry/41"}
+    fields = line_fields(wet, {}, found, translator("en"), UnixTime(1_000_000.0), alarmed)
+    assert (fields["abnormal"], fields["counts"], fields["name"]) == ("45", "45 abnormal", "Unit 1")
     assert fields["named"] == "wet: No unit has responded yet"
 
 
@@ -378,7 +379,7 @@ def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
     assert shown_fields == {
         "verdict": "dry · Port closed since 00:01: unplugged",
         "at": "/bus/dry",
-        "abnormal": "1",
+        "abnormal": "2",
     }
     assert changed["dry"]["link"] == "closed"
 

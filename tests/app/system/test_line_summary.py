@@ -27,7 +27,7 @@ def test_a_line_at_speed() -> None:
     found = summarized(bus, 100.5)
     assert (found.bus, found.site) == ("dry", "Mill 7")
     assert (found.level, found.cause) == ("", None)
-    assert str(found.verdict) == "Running 120.0 m/min · all 2 at speed"
+    assert str(found.verdict) == "All 2 units at speed"
     assert (found.units, found.states) == (2, {"online": 2, "at_speed": 2})
     assert found.scan_hz == 4.5
 
