@@ -71,6 +71,7 @@ TYPED_BY_PEOPLE = {
     *("Alarm.hidden_by", "Alarm.reason"),
     *("LineOfSite.peer", "LineOfSite.url", "LineOfSite.place", "PeerOfSite.url"),
     *("AlarmTransition.reason", "ReportedAlarm.reason", "ShiftAlarm.reason"),
+    *("MissingSignature.reason", "ShiftSignature.reason"),
     *(f"OwnAlarm.{name}" for name in ("cause", "consequence", "response")),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
     *("ConfigurationVersion.reason", "length_unit", "ReportedUnit.speed_unit"),

@@ -27,7 +27,7 @@ EVENTS: dict[SignedPart, str] = {"leaving": "event_shift_signed_over", "coming":
 
 _CODE, _START = json_member("messages", "what.code"), json_member("messages", "what.params.start")
 _LOGGED = f"""
-SELECT {_CODE}, who, time, id, {_START}
+SELECT {_CODE}, who, time, id, message, {_START}
 FROM events WHERE kind = 'shift' AND about IS NULL AND {_CODE} IN (?, ?)
 """
 
@@ -40,6 +40,7 @@ class ShiftSignature:
     who: str
     at: InstantObject
     event: Annotated[int, Field(description="The number of its entry in the audit log.")]
+    reason: Annotated[str, Field(description="Of an early hand-over.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,10 @@ def signed_sheet(connection: StoreConnection, start: UnixTime) -> SignedSheet | 
 
 
 def signatures_of(connection: StoreConnection, start: UnixTime) -> dict[SignedPart, ShiftSignature]:
-    query = "SELECT part, who, at, event FROM shift_signature WHERE start = ?"
+    query = (
+        "SELECT s.part, s.who, s.at, s.event, COALESCE(e.message, '') FROM shift_signature s "
+        "LEFT JOIN events e ON e.id = s.event WHERE s.start = ?"
+    )
     return {row["part"]: ShiftSignature(*row) for row in connection.execute(query, (start,))}
 
 
@@ -96,7 +100,10 @@ def missing_signatures(connection: StoreConnection, start: str | None = None) ->
     query = f"{_LOGGED} AND id NOT IN (SELECT event FROM shift_signature)" if stored else _LOGGED
     parts = {code: part for part, code in EVENTS.items()}
     found = connection.execute(f"{query} ORDER BY id", tuple(parts))
-    logged = (MissingSignature(parts[row[0]], row[1], row[2], row[3], row[4] or "") for row in found)
+    logged = (
+        MissingSignature(parts[code], who, at, event, reason or "", start or "")
+        for code, who, at, event, reason, start in found
+    )
     return [each for each in logged if start in (None, each.start)]
 
 

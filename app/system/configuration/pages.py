@@ -335,11 +335,11 @@ def _faults_by_field(
     for fault in review.faults:
         paths = lines.get(int(str(fault.params.get("line", 0))), ())
         keys = [field.key for field in place.form.fields if (*place.path, *field.key.split(".")) in paths]
-        inner = fault.params.get("fault")
-        if keys and isinstance(inner, Message):
-            errors[keys[0]] = inner
+        inner = _inner(fault)
+        if keys and inner is not fault:
+            errors[keys[0]] = _right_of(inner)
         else:
-            others.append(inner if isinstance(inner, Message) else fault)
+            others.append(inner)
     return errors, tuple(others)
 
 
@@ -444,7 +444,9 @@ async def change_bus(
         return _bus_form(request, present, scan, index, texts, (problem.message,), status=409)
     if review.faults or review.text == present.text:
         faults = review.faults or (Message("configuration_nothing_changed"),)
-        return _bus_form(request, present, scan, index, texts, tuple(map(_inner, faults)))
+        inner = {str(each.params.get("key", each.code)): each for each in map(_inner, faults)}
+        errors = {key: _right_of(inner.pop(f"Bus.{key}")) for key in texts if f"Bus.{key}" in inner}
+        return _bus_form(request, present, scan, index, texts, tuple(inner.values()), errors=errors)
     if not confirmed:
         return review_page(request, file, present, review, f"/configuration/bus/{index}", texts)
     version = await file.save(person, CHANGE_PORTS, edit, digest, reason_of_change)
@@ -497,6 +499,12 @@ def _inner(fault: Message) -> Message:
     return inner if isinstance(inner, Message) else fault
 
 
+def _right_of(fault: Message) -> Message:
+    """Return what is right, without the key and value of the file, which stand in the field."""
+    right = fault.params.get("right")
+    return right if isinstance(right, Message) else fault
+
+
 def _values(texts: Mapping[str, str], scan: PortScan) -> dict[str, TomlValue]:
     """Return the typed values with the settings that a scan of this port has shown."""
     found = scan.found if scan.found is not None and scan.port == texts["port"] else {}
@@ -537,6 +545,7 @@ def _bus_form(
     texts: Mapping[str, str],
     faults: tuple[Message, ...] = (),
     status: int = 422,
+    errors: Mapping[str, Message] | None = None,
 ) -> Response:
     _refuse_beyond(present, index)
     taken = _ports_of(present)
@@ -544,11 +553,12 @@ def _bus_form(
         request,
         "configuration/bus.html",
         part=is_fragment(request),
-        status=status if faults else 200,
+        status=status if faults or errors else 200,
         action=f"/configuration/bus/{index}",
         is_new=index == len(taken),
         digest=present.digest,
         faults=(*present.faults, *faults),
+        errors=errors or {},
         texts=texts,
         scan=scan,
         ports=[port for port in ports() if port not in taken],

@@ -333,3 +333,4 @@ async def test_a_shift_is_handed_over_early_only_with_a_reason(
     assert (await operator.post(f"{API}/{present}/sign", json={"reason": "Ill"})).status_code == 200
     (event,) = await house.events("shift")
     assert event["message"] == "Ill"
+    assert "Reason: Ill" in (await operator.get(f"/shifts/{present}")).text
