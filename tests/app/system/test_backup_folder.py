@@ -38,8 +38,10 @@ from tests import fork_server
 from tests.app.archived_site import archived_site
 from tests.app.busy_site import make_site
 from tests.app.cli.test_backup_store import verified
+from tests.app.fake_worker import until
 from tests.app.history_line import NOON, Shelf, polls
 from tests.app.plant_database import keep, published, publishing, reading
+from tests.app.plant_database import rows as published_rows
 from tests.mounted import mounted
 from tests.postgresql import fresh_database, needs_postgresql
 from tests.sizes import sizes
@@ -429,6 +431,10 @@ async def test_a_restore_says_what_the_plants_database_has_of_after_the_backup(t
             await house.services[EventLog].record(kind="unit", what="offline", bus="dry-end", unit=1)
             keep(house, [reading(1, time.time() - number, 500) for number in (60, 50, 40)])
             await published(house)
+            # Readings of before this run go with the next look at the history.
+            await until(
+                lambda: published_rows(url, "SELECT 1 FROM lineside.reading LIMIT 1"), "readings published"
+            )
         restore = ("restore-store", "--from", backups, "--yes", "--config", config)
         done = await asyncio.to_thread(run, *restore)
         assert done.exit_code == 0, done.output
