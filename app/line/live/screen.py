@@ -369,8 +369,11 @@ class Screen:
             self._briefs[key] = texts.brief, texts.since
             status = texts.text if _says_since(alarm, cause, bus_name, number) else texts.line
         fields |= draw_fields(draw_of(bus, unit, now), self.translator)
+        of_bus = bus_cause(bus, now)
         return fields | {
             "level": view.level,
+            # Abnormal once, at its bus; its own page has the mark of that cause.
+            "page_level": of_bus.level if of_bus and cause and of_bus.code == cause.code else view.level,
             "cause": texts.line if texts is not None and view.level else "",
             "status": status,
             "brief": self._brief(key),

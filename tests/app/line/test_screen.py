@@ -349,8 +349,8 @@ def test_a_unit_does_not_repeat_the_lost_cable_of_its_bus() -> None:
     shown = screen(live)
     live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
     shown.render("dry", [1, 2], 130.0, include_bus=True)
-    assert [shown.shown["dry/1"][name] for name in ("link", "level", "cause", "status")] == [
-        *("offline", "", ""),
+    assert [shown.shown["dry/1"][name] for name in ("link", "level", "page_level", "cause", "status")] == [
+        *("offline", "", "urgent", ""),
         "Port closed since 00:01: unplugged",
     ]
 
