@@ -1,6 +1,7 @@
 // Control of the line in the head and in place: a request that has just come, and what goes on once control is there.
 // What was refused is repeated as the person pressed it; a command still has its review.
 const FRESH_MS = 1000;
+const COVERED_MS = 500;
 /** What was pressed last outside of the review, to be pressed again.
  * @type {{ source: HTMLElement, submitter: HTMLElement | null } | null} */
 let pressed = null;
@@ -19,7 +20,15 @@ function shield() {
     choice.inert = true;
     setTimeout(() => (choice.inert = false), FRESH_MS);
   }
+  if (now !== known) rest();
   known = now;
+}
+
+/** A request lies over the page or has gone from there: a finger on its way presses nothing below it. */
+function rest() {
+  const { style } = /** @type {HTMLElement} */ (document.querySelector(".main"));
+  style.pointerEvents = "none";
+  setTimeout(() => (style.pointerEvents = ""), COVERED_MS);
 }
 
 function resume() {

@@ -1,4 +1,4 @@
-// A request for control moves the page below it: a finger that was on its way presses nothing there.
+// A request for control lies over the page: a finger that was on its way presses nothing below it.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { openPage } from "./page.js";
@@ -29,7 +29,7 @@ async function openWithControl() {
   };
 }
 
-test("for half a second after a request has come or gone, a finger presses nothing of the page that moved", async () => {
+test("for half a second after a request has come or gone, a finger presses nothing of the page below it", async () => {
   const page = await openWithControl();
   assert.ok(page.takesPresses());
   for (const name of ["line ann 1", ""]) {
@@ -40,7 +40,7 @@ test("for half a second after a request has come or gone, a finger presses nothi
   }
 });
 
-test("a response without another request moves nothing", async () => {
+test("a response without another request takes no press", async () => {
   const page = await openWithControl();
   page.request("line ann 1");
   page.wait(1000);

@@ -445,7 +445,7 @@ async def change_bus(
     if review.faults or review.text == present.text:
         faults = review.faults or (Message("configuration_nothing_changed"),)
         inner = {str(each.params.get("key", each.code)): each for each in map(_inner, faults)}
-        errors = {key: _right_of(inner.pop(f"Bus.{key}")) for key in texts if f"Bus.{key}" in inner}
+        errors = {key: _right_of(inner.pop(f"bus.{key}")) for key in texts if f"bus.{key}" in inner}
         return _bus_form(request, present, scan, index, texts, tuple(inner.values()), errors=errors)
     if not confirmed:
         return review_page(request, file, present, review, f"/configuration/bus/{index}", texts)

@@ -101,7 +101,7 @@ async def test_port_and_units_are_corrected(admin: httpx.AsyncClient, file: Plan
         ({"name": "Dry End"}, "name"),
         ({"name": "dry-end"}, "dry-end"),
         ({"port": "/dev/null"}, "/dev/null"),
-        ({"port": ""}, "port"),
+        ({"port": ""}, 'aria-invalid="true"'),
         ({"port": "http://10.0.0.1"}, "socket://"),
         ({"baud": "9601"}, "9600"),
         ({"baud": "x"}, "9600"),
