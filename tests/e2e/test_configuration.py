@@ -26,7 +26,7 @@ def test_port_and_units_of_a_bus_fit_the_page_up_to_their_review(
     for path, send in (("/configuration/bus/1", False), ("/configuration/bus/0", True)):
         page.goto(path)
         assert flaws(page, locale) == []
-        page.locator("#bus-port").fill("/dev/ttyUSB7")
+        page.locator("#field-bus-port").fill("/dev/ttyUSB7")
         page.locator("#bus-units").fill("Unwind")
         page.locator("form:has(#bus-units) [type=submit]").click()
         expect(
