@@ -243,7 +243,9 @@ def test_an_execute_is_refused_where_the_setpoint_has_moved_since_the_review(sit
 # --- a second tap; the time of the page is the test's -------------------------------------------------
 
 CLOCK = """const real = Date.now;
-Date.now = () => Number(sessionStorage.getItem("test-now") ?? real());"""
+Date.now = () => Number(sessionStorage.getItem("test-now") ?? real());
+Object.defineProperty(performance, "timeOrigin", { get: Date.now });
+Object.defineProperty(Event.prototype, "timeStamp", { get: () => 0 });"""
 TAPPED = 7
 
 
