@@ -67,7 +67,7 @@ def test_a_pulled_cable_is_one_cause(own_site: Site, shared_page: OpensPages) ->
     own_site.line.remote.do("unplug")
     try:
         expect(page.locator("h1")).to_contain_text("line · Port closed since")
-        expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("1")
+        expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("3")
         opened(page, "/units/line/1")
         expect(page.locator(".cause")).to_have_attribute("data-is", "")
         # As it is once the port was closed for ten seconds.

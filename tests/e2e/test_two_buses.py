@@ -182,6 +182,7 @@ def test_a_blocked_unit_with_something_staged_holds_up_no_other(site: Site, shar
 
 @pytest.mark.soak
 def test_a_closed_bus_leaves_the_other_its_controls(site: Site, shared_page: OpensPages) -> None:
+    site.end_alarms()
     page = opened(shared_page(viewport=PANEL), "/")
     wet(site).remote.do("unplug")
     try:
