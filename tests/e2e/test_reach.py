@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from playwright.sync_api import Locator, Page, expect
 from app.main import FEATURES
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.pages import NEEDS_MORE, NO_PAGES, PAGES, WALKED, opened
-from tests.e2e.site import AT_REST, Site
+from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.test_phone_length import PATHS
 from tests.sizes import sizes
 
@@ -165,14 +166,15 @@ def test_a_cut_name_has_an_ellipsis_and_is_complete_at_the_focus(
         name = page.locator(f'[data-unit="line/{unit}"] :is(.cell__name, .tile__name a, .rows__name a)')
         assert name.get_attribute("title") == site.unit(unit)["name"]
         name.evaluate(RENAME, text)
-        assert name.evaluate(IS_CUT)
+        # The line takes its size once the page is drawn.
+        eventually(partial(name.evaluate, IS_CUT), "the name cut")
         assert name.evaluate(HAS_ELLIPSIS)
         link = name.locator("xpath=ancestor-or-self::a")
         assert text in link.aria_snapshot()
         focused(page, link)
         assert not name.evaluate(IS_CUT)
         link.evaluate("link => link.blur()")
-        assert name.evaluate(IS_CUT)
+        eventually(partial(name.evaluate, IS_CUT), "the name cut again")
 
 
 # --- what jams ------------------------------------------------------------------------------------------
