@@ -18,7 +18,6 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from app.core.former_settings import former_notices, without_former_keys
 from app.core.messages.languages import catalogs, is_zone, machine_zone
@@ -40,7 +39,7 @@ from bus import configuration
 from bus.configuration import ConfigurationError
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
-from bus.validation import OneLine
+from bus.validation import OneLine, setting_fault
 
 __all__ = ["ConfigurationError", "ServerSettings", "Settings", "Site", "load", "parse"]
 
@@ -211,7 +210,7 @@ class Settings(StrictModel):
         for index, bus in enumerate(buses):
             if bus.name in names:
                 message = Message.of("setting_bus_twice", name=bus.name)
-                raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "name")})
+                raise setting_fault(message, index, "name")
             names.add(bus.name)
             is_url = "://" in bus.port
             if not is_url and not bus.has_local_port:
@@ -220,7 +219,7 @@ class Settings(StrictModel):
             port = bus.port if is_url else os.path.realpath(bus.port)
             if port in ports:
                 message = Message.of("setting_port_twice", port=bus.port, other=ports[port])
-                raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "port")})
+                raise setting_fault(message, index, "port")
             ports[port] = bus.name
         return buses
 

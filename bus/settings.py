@@ -19,10 +19,9 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from bus.messages import Message
-from bus.validation import OneLine
+from bus.validation import OneLine, setting_fault
 
 Baud = Literal[300, 600, 1200, 2400, 4800, 9600]
 BAUDS: tuple[Baud, ...] = (300, 600, 1200, 2400, 4800, 9600)
@@ -164,11 +163,11 @@ class BusSettings(Dialect):
         for index, unit in enumerate(units):
             if unit.id in seen:
                 message = Message.of("setting_unit_twice", unit=unit.id)
-                raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "id")})
+                raise setting_fault(message, index, "id")
             seen.add(unit.id)
         if units and units[0].draw_percent:
             message = Message.of("setting_draw_of_first", name=units[0].name)
-            raise PydanticCustomError("first", "first unit", {"message": message, "at": (0, "draw_percent")})
+            raise setting_fault(message, 0, "draw_percent")
         return units
 
     @field_validator("port")

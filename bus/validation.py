@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import AfterValidator
+from pydantic_core import PydanticCustomError
 
 from bus.messages import Message
 
@@ -116,6 +117,12 @@ _WITH_BOUND = {
 _NUMBERS = ("decimal_parsing", "float_parsing", "float_type")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
 _TIMES = ("date_", "datetime_", "time_", "timezone_")
+
+
+def setting_fault(message: Message, *at: int | str) -> PydanticCustomError:
+    """Return the error for a setting, which is shown without its value, because that may be a secret. ``at``:
+    the place of the fault within what is validated."""
+    return PydanticCustomError("setting", "wrong setting", {"message": message, "at": at})
 
 
 def fault_message(error: Any) -> Message:

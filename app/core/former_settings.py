@@ -9,11 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from pydantic_core import PydanticCustomError
-
 from bus.configuration import KeyPath, LineNumbers
 from bus.messages import Message
 from bus.settings import FORMER_KEYS_OF_BUS
+from bus.validation import setting_fault
 
 FORMER_KEYS = {("store",), ("history", "spool_mb"), ("server", "id"), ("server", "home"), ("server", "url")}
 """The paths of former keys and tables."""
@@ -60,8 +59,7 @@ def without_former_keys(data: object) -> object:
     if not isinstance(data, dict):
         return data
     if isinstance(store := data.get("store"), dict) and store.get("url"):
-        details = {"message": Message("setting_store_url"), "at": ("store", "url")}
-        raise PydanticCustomError("store_url", "data in a database", details)
+        raise setting_fault(Message("setting_store_url"), "store", "url")
     for *tables, key in FORMER_KEYS:
         if _has(data, (*tables, key)):
             data = _without(data, tables, key)

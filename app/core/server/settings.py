@@ -10,12 +10,12 @@ from typing import Annotated
 from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field
-from pydantic_core import PydanticCustomError
 
 from app.errors import system_error
 from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import StrictModel
+from bus.validation import setting_fault
 
 MAX_BYTES = 4096
 
@@ -29,15 +29,10 @@ def check_web_url(written: str) -> str:
     except ValueError:
         is_url = False
     if not is_url or not written.isascii() or not written.isprintable() or " " in written:
-        raise url_refusal(Message("setting_web_url"))
+        raise setting_fault(Message("setting_web_url"))
     if "@" in parts.netloc:
-        raise url_refusal(Message("setting_url_with_password"))
+        raise setting_fault(Message("setting_url_with_password"))
     return written
-
-
-def url_refusal(message: Message) -> PydanticCustomError:
-    """Return the fault of a URL, which is shown without the URL, because that may be a secret."""
-    return PydanticCustomError("web_url", "no such URL", {"message": message, "at": ()})
 
 
 WebUrl = Annotated[str, Field(max_length=2000), AfterValidator(check_web_url)]

@@ -9,14 +9,14 @@ from decimal import Decimal
 from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
-from pydantic_core import PydanticCustomError, PydanticKnownError
+from pydantic_core import PydanticKnownError
 
 from app.core.former_settings import FORMER_ALARMS
 from app.line.conditions.catalogue import BUS_ALARMS, CONDITIONS, SERVER_ALARMS, UNIT_ALARMS
 from app.line.conditions.condition import AlarmPriority, Tuning
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
-from bus.validation import OneLine
+from bus.validation import OneLine, setting_fault
 
 SpeedValue = Literal["commanded", "actual", "deviation"]
 """``deviation``: the distance of actual from commanded speed."""
@@ -65,7 +65,7 @@ class AlarmSettings(StrictModel):
     def _limits_fit_the_value(self) -> AlarmSettings:
         fault = self._condition_fault() or self._deadband_fault()
         if fault is not None:
-            raise _refusal(Message.of(fault, name=self.name, value=self.value))
+            raise setting_fault(Message.of(fault, name=self.name, value=self.value))
         return self
 
     def _condition_fault(self) -> str | None:
@@ -108,7 +108,7 @@ def refuse_misplaced(alarms: Iterable[AlarmSettings], buses: Iterable[BusSetting
             names.add((alarm.bus, alarm.name))
             continue
         message = Message.of(f"setting_alarm_{key}", name=alarm.name, bus=alarm.bus, unit=alarm.unit)
-        raise _refusal(message, "alarm", index, key)
+        raise setting_fault(message, "alarm", index, key)
 
 
 def _known(code: str) -> str:
@@ -171,10 +171,10 @@ def refuse_built_in(entries: Sequence[BuiltInAlarmSettings], buses: Iterable[Bus
             continue
         before = [other.place for other in entries[:index]]
         for code, key, more in (*_misplaced(each, units), *_misset(each)):
-            raise _refusal(Message.of(code, name=each.code, **more), "built_in_alarm", index, key)
+            raise setting_fault(Message.of(code, name=each.code, **more), "built_in_alarm", index, key)
         fault = "setting_built_in_twice" if each.place in before else tuning_of(entries, *each.place).fault
         if fault:
-            raise _refusal(Message.of(fault, name=each.code), "built_in_alarm", index, "code")
+            raise setting_fault(Message.of(fault, name=each.code), "built_in_alarm", index, "code")
 
 
 def _misplaced(each: BuiltInAlarmSettings, units: Mapping[str, set[int]]) -> Iterator[SettingFault]:
@@ -206,8 +206,3 @@ def _misset(each: BuiltInAlarmSettings) -> Iterator[SettingFault]:
 
 def _units_of(buses: Iterable[BusSettings]) -> dict[str, set[int]]:
     return {bus.name: {unit.id for unit in bus.unit} for bus in buses}
-
-
-def _refusal(message: Message, *at: int | str) -> PydanticCustomError:
-    """Make the error; ``at``: the place of the fault within the table that is judged."""
-    return PydanticCustomError("alarm", "not an alarm", {"message": message, "at": at})

@@ -8,10 +8,10 @@ from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from app.core.server.settings import WebUrl, is_loopback, url_refusal
+from app.core.server.settings import WebUrl, is_loopback
 from bus.messages import Message
 from bus.settings import StrictModel
-from bus.validation import OneLine
+from bus.validation import OneLine, setting_fault
 
 
 class Sessions(StrictModel):
@@ -37,9 +37,9 @@ def _issuer(url: str) -> str:
     """Return the URL of a provider. Raise ValueError if it identifies none, or is reached in clear."""
     parts = urlsplit(url)
     if parts.query or parts.fragment:
-        raise url_refusal(Message("setting_issuer"))
+        raise setting_fault(Message("setting_issuer"))
     if parts.scheme == "http" and not is_loopback(parts.hostname or ""):
-        raise url_refusal(Message("setting_issuer_in_clear"))
+        raise setting_fault(Message("setting_issuer_in_clear"))
     return url
 
 

@@ -11,12 +11,11 @@ from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_serializer, model_validator
-from pydantic_core import PydanticCustomError
 
 from app.core.server.settings import WebUrl
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
-from bus.validation import OneLine
+from bus.validation import OneLine, setting_fault
 
 NotifiedPriority = Literal["urgent", "high", "medium", "low"]
 DayOfWeek = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]
@@ -83,7 +82,7 @@ class SmtpSettings(StrictModel):
     @model_validator(mode="after")
     def _password_is_not_sent_in_the_clear(self) -> SmtpSettings:
         if self.user and self.security == "none":
-            raise _refusal(Message("setting_mail_password_open"), "security")
+            raise setting_fault(Message("setting_mail_password_open"), "security")
         return self
 
 
@@ -107,7 +106,7 @@ class WebhookSettings(StrictModel):
     @model_validator(mode="after")
     def _has_one_url(self) -> WebhookSettings:
         if (self.url is None) == (self.url_file is None):
-            raise _refusal(Message("setting_webhook_url"))
+            raise setting_fault(Message("setting_webhook_url"))
         return self
 
 
@@ -138,7 +137,7 @@ class GroupSettings(StrictModel):
     @model_validator(mode="after")
     def _has_people(self) -> GroupSettings:
         if not self.to and not self.duty:
-            raise _refusal(Message.of("setting_group_empty", name=self.name))
+            raise setting_fault(Message.of("setting_group_empty", name=self.name))
         return self
 
 
@@ -189,16 +188,11 @@ class NotifySettings(StrictModel):
         return {path for path in named if path is not None}
 
 
-def _refusal(message: Message, *at: int | str) -> PydanticCustomError:
-    """Return the error; ``at``: the place of the fault within the checked table."""
-    return PydanticCustomError("notify", "not a notification", {"message": message, "at": at})
-
-
 def refuse_unknown_names(notify: NotifySettings, buses: Iterable[BusSettings]) -> None:
     """Raise PydanticCustomError for a group or bus that is not configured, a group that is configured twice,
     and mail without a mail server."""
     for message, *at in _unknown_names(notify, {bus.name for bus in buses}):
-        raise _refusal(message, "notify", *at)
+        raise setting_fault(message, "notify", *at)
 
 
 def _unknown_names(notify: NotifySettings, buses: set[str]) -> Iterator[tuple[Any, ...]]:

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from typing import Annotated
 
 from pydantic import Field
-from pydantic_core import PydanticCustomError
 
 from app.records.notification.settings import ClockTime, MailAddress, NotifySettings, minute_of_day
 from app.records.reports.rules import ReportEvery
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
+from bus.validation import setting_fault
 
 
 class ReportSettings(StrictModel):
@@ -41,12 +41,8 @@ def refuse_unsendable(
     units = {bus.name: {unit.id for unit in bus.unit} for bus in buses}
     for index, report in enumerate(reports):
         if report.bus is not None and report.bus not in units:
-            raise _refusal(Message.of("setting_notify_bus", bus=report.bus), index, "bus")
+            raise setting_fault(Message.of("setting_notify_bus", bus=report.bus), "report", index, "bus")
         if report.unit is not None and report.unit not in units.get(report.bus or "", ()):
-            raise _refusal(Message.of("setting_report_unit", unit=report.unit), index, "unit")
+            raise setting_fault(Message.of("setting_report_unit", unit=report.unit), "report", index, "unit")
         if notify.smtp is None:
-            raise _refusal(Message("setting_mail_server_missing"), index, "to")
-
-
-def _refusal(message: Message, index: int, key: str) -> PydanticCustomError:
-    return PydanticCustomError("report", "no such report", {"message": message, "at": ("report", index, key)})
+            raise setting_fault(Message("setting_mail_server_missing"), "report", index, "to")

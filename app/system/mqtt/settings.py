@@ -9,12 +9,11 @@ from typing import Annotated, Literal
 from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
-from pydantic_core import PydanticCustomError
 
 from app.core.server.settings import is_loopback
 from bus.messages import Message
 from bus.settings import StrictModel
-from bus.validation import OneLine
+from bus.validation import OneLine, setting_fault
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 _RESERVED = re.compile(r"[/+#]")
@@ -87,10 +86,9 @@ class MqttSettings(StrictModel):
         for name, needed in pairs:
             if getattr(self, name) and not getattr(self, needed):
                 message = Message.of("setting_mqtt_needs", name=name, needed=needed)
-                raise PydanticCustomError("needs", "needs another", {"message": message, "at": (name,)})
+                raise setting_fault(message, name)
         if not self.uses_tls and (self.certificate or self.ca_file):
-            message = Message("setting_mqtt_no_tls")
-            raise PydanticCustomError("needs", "needs another", {"message": message, "at": ("url",)})
+            raise setting_fault(Message("setting_mqtt_no_tls"), "url")
         return self
 
     @property

@@ -8,19 +8,18 @@ from typing import Annotated
 from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field
-from pydantic_core import PydanticCustomError
 
-from app.core.server.settings import WebUrl, is_loopback, url_refusal
+from app.core.server.settings import WebUrl, is_loopback
 from bus.messages import Message
 from bus.settings import StrictModel
-from bus.validation import OneLine
+from bus.validation import OneLine, setting_fault
 
 
 def _server_address(written: str) -> str:
     """Return the URL without a final slash. Raise ValueError for the URL of a page."""
     parts = urlsplit(written)
     if parts.path not in ("", "/") or parts.query or parts.fragment:
-        raise url_refusal(Message("setting_peer_url"))
+        raise setting_fault(Message("setting_peer_url"))
     return written.rstrip("/")
 
 
@@ -47,5 +46,5 @@ def refuse_repeated(peers: Iterable[PeerSettings]) -> None:
         for key, value in (("name", peer.name), ("url", peer.url.lower())):
             if value in known and known[value] == key:
                 message = Message.of("setting_peer_twice", key=key, value=value)
-                raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, key)})
+                raise setting_fault(message, index, key)
             known[value] = key
