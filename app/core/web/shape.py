@@ -85,6 +85,11 @@ def parse_integer(text: str, digits: int = 18) -> int | None:
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= digits else None
 
 
+def attachment(name: str) -> dict[str, str]:
+    """Return the header by which a browser stores a response as a file of this name, in plain ASCII."""
+    return {"Content-Disposition": f'attachment; filename="{name}"'}
+
+
 async def json_response(content: Callable[[], object]) -> Response:
     """Send long content as JSON, made in a thread so that the event loop continues."""
     body = await asyncio.to_thread(lambda: msgspec.json.encode(content()))

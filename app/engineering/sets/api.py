@@ -12,7 +12,7 @@ from typing_extensions import TypedDict
 from app.core.web.access import Person, Viewer
 from app.core.web.api import NEXT_PAGE, ApiRoute, link_next, problems
 from app.core.web.services import bus_service, bus_service_of
-from app.core.web.shape import MessageObject, StrictBody, UnitAddresses, iso
+from app.core.web.shape import MessageObject, StrictBody, UnitAddresses, attachment, iso
 from app.engineering.sets.drift import BusDrift, DriftedParameter
 from app.engineering.sets.lookup import Sets, StoredSet, set_or_404, unit_rows_or_404
 from app.engineering.sets.model import (
@@ -188,10 +188,8 @@ async def export_parameter_set(
         if not person.role.includes(EXPORT_SECRET.role):
             raise Problem(403, "forbidden", Message("secret_for_engineer"))
         await events.record(**EXPORT_SECRET.by(person, set=stored.id), bus=stored.bus)
-    headers = {"Content-Disposition": f'attachment; filename="lineside-{stored.bus}-{stored.id}.toml"'}
-    return Response(
-        write_document(stored, with_secrets=secrets), media_type="application/toml", headers=headers
-    )
+    text, name = write_document(stored, with_secrets=secrets), f"lineside-{stored.bus}-{stored.id}.toml"
+    return Response(text, media_type="application/toml", headers=attachment(name))
 
 
 @router.post("/sets/{set_id}/golden")

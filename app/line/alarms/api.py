@@ -23,6 +23,7 @@ from app.core.web.shape import (
     MaybeMessage,
     MessageShown,
     ZonedTime,
+    attachment,
     iso,
     maybe_shown,
     message_shown,
@@ -365,8 +366,8 @@ async def get_alarm_performance_csv(_: Viewer, performance: WantedPerformance, f
         )
         for figure in performance.figures
     )
-    name = {"Content-Disposition": 'attachment; filename="alarm-performance.csv"'}
-    return Response(form.head(COLUMNS) + form.rows(COLUMNS, rows), media_type="text/csv", headers=name)
+    text = form.head(COLUMNS) + form.rows(COLUMNS, rows)
+    return Response(text, media_type="text/csv", headers=attachment("alarm-performance.csv"))
 
 
 @router.get("/{alarm_id}")

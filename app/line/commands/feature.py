@@ -22,6 +22,7 @@ from app.core.find.finders import MAX_OF_KIND, Finders, FoundPlace, Search, miss
 from app.core.web.access import Person
 from app.core.web.api import ApiRoute
 from app.core.web.routes import DOWNLOAD
+from app.core.web.shape import attachment
 from app.core.web.templating import Templates
 from app.errors import Problem
 from app.feature import Feature, Services
@@ -85,8 +86,7 @@ async def get_trace(
     pieces = _pieces(commands, person, now - seconds)
     first: list[Frame] = await anext(pieces, [])
     name = f"{bus}-{datetime.fromtimestamp(float(now), UTC):%Y%m%dT%H%M%SZ}.trace.txt"
-    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
-    return StreamingResponse(_lines(first, pieces), headers=headers, media_type="text/plain; charset=utf-8")
+    return StreamingResponse(_lines(first, pieces), headers=attachment(name), media_type="text/plain")
 
 
 async def _pieces(commands: CommandService, person: Person, since: UnixTime) -> AsyncIterator[list[Frame]]:

@@ -25,6 +25,7 @@ from app.core.database.connection import snapshot
 from app.core.messages import Language
 from app.core.web.csv_file import FOR_PROGRAMS, Column, CsvForm, Number
 from app.core.web.csv_file import Cell as CsvCell
+from app.core.web.shape import attachment
 from app.errors import Problem
 from app.line.history import tables
 from app.line.history.query import (
@@ -71,8 +72,7 @@ async def export_response(
     fineness = await _fineness(history, queries, resolution)
     table = Table(queries, fineness, history.time_zone, carries=layout == "table")
     name = f"lineside-{_stamp(queries[0].start, table)}-{_stamp(queries[0].end, table)}.{file}"
-    headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-store"}
-    rows = pieces(history, table)
+    headers, rows = attachment(name), pieces(history, table)
     if file == "csv":
         text = (stream_csv if layout == "readings" else stream_table)(table, rows, form)
         return StreamingResponse(text, 200, headers, "text/csv; charset=utf-8")

@@ -18,7 +18,7 @@ from app.core.web.api import ApiRoute
 from app.core.web.csv_file import CSV, Cell, Column, CsvForm, WantedCsv, number_or_text
 from app.core.web.routes import DOWNLOAD, SEARCH
 from app.core.web.services import service
-from app.core.web.shape import Instant, MaybeInstant, ZonedTime, iso, json_response
+from app.core.web.shape import Instant, MaybeInstant, ZonedTime, attachment, iso, json_response
 from app.people.audit.anchor import Anchoring
 from app.people.audit.entry import EventKind, is_moment
 from app.people.audit.log import Event, EventLog, Filter
@@ -148,10 +148,8 @@ async def verify_audit_log(
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])
 async def export_events(_: Viewer, events: Events, wanted: Wanted, form: WantedCsv) -> StreamingResponse:
     """Export every event of the filter of GET /events, as CSV with a line of headings."""
-    headers = {"Content-Disposition": 'attachment; filename="events.csv"'}
-    return StreamingResponse(
-        _csv(events, wanted, form), headers=headers, media_type="text/csv; charset=utf-8"
-    )
+    text = _csv(events, wanted, form)
+    return StreamingResponse(text, headers=attachment("events.csv"), media_type="text/csv")
 
 
 async def _csv(events: EventLog, wanted: Filter, form: CsvForm) -> AsyncIterator[str]:

@@ -17,7 +17,7 @@ from app.core.web.api import ApiRoute, RequestKey, limited, problems
 from app.core.web.request_rules import MAX_BODY_BYTES
 from app.core.web.routes import SEARCH
 from app.core.web.services import service
-from app.core.web.shape import Instant, StrictBody, ZonedTime, iso
+from app.core.web.shape import Instant, StrictBody, ZonedTime, attachment, iso
 from app.errors import Problem
 from app.line.history.api import SpanOf
 from app.line.history.service import seconds
@@ -182,7 +182,7 @@ async def get_shift_document(_: Viewer, shifts: Shifts, documents: Documents, sh
     """Return the sheet, signed or not, with its signatures as one HTML file in the language of the site."""
     found = await shifts.sheet(shift)
     name = f"shift-{iso(found.shift.start)[:16].replace(':', '')}Z.html"
-    headers = {**APART, "Content-Disposition": f'attachment; filename="{name}"'}
+    headers = {**APART, **attachment(name)}
     return Response(await documents.document(found), media_type="text/html; charset=utf-8", headers=headers)
 
 

@@ -20,7 +20,7 @@ from app.core.web.assets import Assets
 from app.core.web.csv_file import CSV, WantedCsv
 from app.core.web.routes import DOWNLOAD, SEARCH, GuardedRoute
 from app.core.web.services import service
-from app.core.web.shape import iso, json_response
+from app.core.web.shape import attachment, iso, json_response
 from app.core.web.templating import Templates, formats_of, render
 from app.errors import Problem, StoreError
 from app.feature import Feature, Services
@@ -103,17 +103,13 @@ async def get_report_document(
 ) -> Response:
     """Return a report as one HTML file that needs no server, in the language of the site."""
     report = await reports.report(wanted.span, wanted.scope, SHOWN_STOPS)
-    headers = APART | _attachment(f"{file_name(report, wanted.scope)}.html")
+    headers = APART | attachment(f"{file_name(report, wanted.scope)}.html")
     text = documents.document(report, wanted.scope)
     return Response(text, media_type="text/html; charset=utf-8", headers=headers)
 
 
 def _csv(text: str, name: str) -> Response:
-    return Response(text, media_type="text/csv; charset=utf-8", headers=_attachment(name))
-
-
-def _attachment(name: str) -> dict[str, str]:
-    return {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-store"}
+    return Response(text, media_type="text/csv; charset=utf-8", headers=attachment(name))
 
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
