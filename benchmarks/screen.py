@@ -10,7 +10,7 @@ from pathlib import Path
 
 from playwright.sync_api import Page
 
-from app.line.live.requests import MAX_OF_ACCOUNT
+from app.line.live.requests import MAX_PAGES_OF_ACCOUNT
 from app.line.live.screen import FEW_MOVING
 from benchmarks.first_visit import show_first_visit
 from benchmarks.onlookers import onlookers
@@ -129,9 +129,9 @@ def _digits(text: str) -> int | None:
 
 @contextmanager
 def _onlookers(served: Site, count: int) -> Iterator[None]:
-    """Pages of as many accounts as it takes: each may have MAX_OF_ACCOUNT open."""
+    """Pages of as many accounts as it takes: each may have MAX_PAGES_OF_ACCOUNT open."""
     with ExitStack() as open_pages:
-        for token, first in zip(served.tokens.values(), range(0, count, MAX_OF_ACCOUNT), strict=False):
-            number = min(MAX_OF_ACCOUNT, count - first)
+        for token, first in zip(served.tokens.values(), range(0, count, MAX_PAGES_OF_ACCOUNT), strict=False):
+            number = min(MAX_PAGES_OF_ACCOUNT, count - first)
             open_pages.enter_context(onlookers(served.url, token, number))
         yield

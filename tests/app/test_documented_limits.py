@@ -85,7 +85,7 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
     (
         "api.md",
         "An account may have {} streams open, an address {} (429).",
-        (line_stream.MAX_OF_ACCOUNT, line_stream.MAX_OF_ADDRESS),
+        (line_stream.MAX_STREAMS_OF_ACCOUNT, line_stream.MAX_STREAMS_OF_ADDRESS),
     ),
     ("safety.md", "Passwords have at least {} characters", (passwords.MIN_PASSWORD,)),
 ]

@@ -16,7 +16,7 @@ from app.core.web.access import Role
 from app.line.live import hub
 from app.line.live.browser import Browser, Diff
 from app.line.live.hub import MAX_WATCH_BURST, Broadcast, Hub
-from app.line.live.requests import MAX_OF_ACCOUNT, Admission
+from app.line.live.requests import MAX_PAGES_OF_ACCOUNT, Admission
 from app.main import create_app
 from app.people.auth.accounts import Accounts
 from tests.administrator import BY
@@ -123,7 +123,7 @@ def test_one_page_too_many_is_refused_and_the_others_stay(
 ) -> None:
     admission = Admission()
     monkeypatch.setattr(hub_of(client), "admission", admission)
-    for number in range(MAX_OF_ACCOUNT - 1):
+    for number in range(MAX_PAGES_OF_ACCOUNT - 1):
         admission.enter("t (token)", f"elsewhere {number}")
     with client.websocket_connect("/live", headers=ORIGIN) as page:
         page.receive_text()

@@ -60,6 +60,6 @@ def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
 
 FEATURE = Feature(
     make,
-    (api.router, restore_api.router, pages.router, pages.router, batch.router),
+    (api.router, restore_api.router, pages.router, batch.router),
     (SAVE, MARK_GOLDEN, EXPORT_SECRET, SCHEDULE, END_SCHEDULE, PLAN, START, CANCEL),
 )

@@ -31,9 +31,9 @@ def unit_of_bus_or_404(bus: BusLive, unit: int) -> UnitLive:
     return found
 
 
-MAX_OF_ACCOUNT = 256
+MAX_PAGES_OF_ACCOUNT = 256
 """More than the 255 WebSockets that a browser opens to one server."""
-MAX_OF_ADDRESS = 512
+MAX_PAGES_OF_ADDRESS = 512
 """More than for an account, because the browsers of a plant may share one address."""
 
 
@@ -44,7 +44,9 @@ class Admission:
     reconnect by themselves would push each other out without end.
     """
 
-    def __init__(self, of_account: int = MAX_OF_ACCOUNT, of_address: int = MAX_OF_ADDRESS) -> None:
+    def __init__(
+        self, of_account: int = MAX_PAGES_OF_ACCOUNT, of_address: int = MAX_PAGES_OF_ADDRESS
+    ) -> None:
         self._of_account = of_account
         self._of_address = of_address
         self._by_account: Counter[str] = Counter()

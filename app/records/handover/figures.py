@@ -4,7 +4,7 @@ alarms, the length of its web."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 import structlog
@@ -16,6 +16,7 @@ from app.errors import StoreError
 from app.line.history.report import MAX_REPORT_READINGS, BusReport, UnitReport
 from app.line.history.series.figures import RunFigures
 from app.line.history.series.runs import SECOND, micros
+from app.line.history.series.values import united
 from app.line.history.service import History
 from app.records.handover.rules import EVERYTHING, Scope, Shift
 from app.settings import Settings
@@ -58,16 +59,23 @@ class Length(NamedTuple):
 
 def length_of(figures: RunFigures, unit: UnitSettings) -> Length:
     """Return the length of the web that passed a unit."""
-    measure, _, per = unit.labels.unit.strip().partition("/")
-    if not measure or per.strip() not in PER_S:
+    if (found := length_measure(unit)) is None:
         return Length()
-    return Length(round(figures.travel / SECOND / PER_S[per.strip()], DIGITS), measure.strip())
+    measure, per_s = found
+    return Length(round(figures.travel / SECOND / per_s, DIGITS), measure)
+
+
+def length_measure(unit: UnitSettings) -> tuple[str, int] | None:
+    """Return the unit of length in a unit of speed such as m/min, and the seconds of its unit of time; None
+    for a unit of speed without them."""
+    measure, _, per = unit.labels.unit.strip().partition("/")
+    return (measure.strip(), PER_S[per.strip()]) if measure and per.strip() in PER_S else None
 
 
 def line_figures(found: FoundUnits, alarms: int) -> LineFigures:
     """Return the figures of a line. Units that stand at the same time count as one stop."""
     read = [(bus, each.unit, each.runs) for bus, each in found if each.runs is not None and each.runs.known]
-    standing = _united((stop.at, stop.until) for _, _, runs in read for stop in runs.stops)
+    standing = united((stop.at, stop.until) for _, _, runs in read for stop in runs.stops)
     length = Length()
     if read and len({bus.name for bus, _, _ in read}) == 1:
         bus, last, runs = read[-1]
@@ -79,17 +87,6 @@ def line_figures(found: FoundUnits, alarms: int) -> LineFigures:
         "length": length.length,
         "length_unit": length.measure,
     }
-
-
-def _united(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return spans of time in which those that touch are joined."""
-    united: list[tuple[int, int]] = []
-    for at, until in sorted(spans):
-        if united and at <= united[-1][1]:
-            united[-1] = (united[-1][0], max(until, united[-1][1]))
-        else:
-            united.append((at, until))
-    return united
 
 
 def count_alarms(connection: StoreConnection, span: Shift, scope: Scope) -> int:

@@ -13,6 +13,7 @@ from app.core.database.connection import upsert
 from app.line.history.query import runs_between, stored_unit
 from app.line.history.recorder import Tail
 from app.line.history.series.runs import MINUTE, SECOND
+from app.line.history.series.values import united
 from app.system.postgresql.outbox import HistoryRows
 from app.system.postgresql.rows import READING, points_of, reading_rows
 from app.system.tags import Value
@@ -47,7 +48,10 @@ class Backlog:
         up."""
         for unit, end in ends.items():
             self.spans[unit].append((start, end))
-        self.spans = {unit: _joined(spans, oldest) for unit, spans in self.spans.items()}
+        self.spans = {
+            unit: united((max(start, oldest), end) for start, end in spans if end > max(start, oldest))
+            for unit, spans in self.spans.items()
+        }
 
     def next_piece(self, units: set[int]) -> tuple[int, tuple[int, int]] | None:
         """Return the oldest piece to send of these units; None if there is none."""
@@ -67,16 +71,6 @@ class Backlog:
         return max((sum(end - start for start, end in spans) for spans in self.spans.values()), default=0) / (
             SECOND
         )
-
-
-def _joined(spans: list[tuple[int, int]], oldest: int) -> list[tuple[int, int]]:
-    joined: list[tuple[int, int]] = []
-    for start, end in sorted((max(start, oldest), end) for start, end in spans if end > max(start, oldest)):
-        if joined and start <= joined[-1][1]:
-            joined[-1] = (joined[-1][0], max(end, joined[-1][1]))
-        else:
-            joined.append((start, end))
-    return joined
 
 
 def read_backlog(connection: StoreConnection, bus: BusSettings) -> Backlog:

@@ -33,6 +33,7 @@ from app.line.history.series.figures import RunFigures, minute_figures, runs_of_
 from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, PlainRun, Run, runs_of
 from app.line.history.series.values import VALUES, Marks, was_follower
 from app.line.history.tables import BlockKey
+from app.records.handover.figures import length_measure
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.rows import (
     ALARM,
@@ -44,7 +45,6 @@ from app.system.postgresql.rows import (
     Scales,
     alarm_row,
     event_row,
-    length_of,
     lost_row,
     minute_rows,
     points_of,
@@ -253,7 +253,7 @@ class HistoryRows:
         # Each minute by itself: time between two readings does not matter here.
         alone = replace(points, solid=[True] * len(points.at))
         shown = series(alone, Marks(), unit.scales.actual)
-        length = length_of(unit.settings)
+        length = length_measure(unit.settings) if unit.settings else None
         batch.add(MINUTE_TABLE, minute_rows(unit.place, shown, points.weight, figures, length and length[1]))
         self.damaged += source.damaged
         return runs

@@ -14,7 +14,7 @@ from app.line.history.series.figures import RunFigures, Series
 from app.line.history.series.runs import SECOND, Run
 from app.line.history.series.values import VALUES, Scaling
 from app.people.audit.entry import is_moment
-from app.records.handover.figures import PER_S
+from app.records.handover.figures import length_measure
 from bus.settings import BusSettings, UnitSettings
 
 Row = tuple[Any, ...]
@@ -188,13 +188,6 @@ def lost_row(place: tuple[str, int], at: int, link: str) -> Row:
 # --- minutes ---
 
 
-def length_of(unit: UnitSettings | None) -> tuple[str, int] | None:
-    """Return the unit of length in a unit of speed such as m/min, and the seconds of its unit of time; None
-    for a unit of speed without them."""
-    length, _, per = (unit.labels.unit if unit else "").strip().partition("/")
-    return (length.strip(), PER_S[per.strip()]) if length and per.strip() in PER_S else None
-
-
 def minute_rows(
     place: tuple[str, int],
     series: Series,
@@ -203,7 +196,7 @@ def minute_rows(
     per_s: int | None,
 ) -> Iterator[Row]:
     """Yield the rows of the minutes of a unit. ``series``: its actual speed; ``figures``: of each minute,
-    None for a follower whose speeds are ratios; ``per_s``: see `length_of`."""
+    None for a follower whose speeds are ratios; ``per_s``: see `length_measure`."""
     columns = (series.at, counts, series.least, series.average, series.greatest)
     for at, count, least, average, greatest in zip(*columns, strict=True):
         run = None if figures is None else figures.get(at, RunFigures())
@@ -251,7 +244,7 @@ def alarm_row(transitions: Sequence[Mapping[str, Any]]) -> Row | None:
 
 def unit_row(bus: BusSettings, unit: UnitSettings, valid_from: datetime) -> Row:
     """Return the row of a unit with its names from ``valid_from`` on."""
-    length, labels = length_of(unit), unit.labels
+    length, labels = length_measure(unit), unit.labels
     return (
         valid_from,
         bus.name,

@@ -15,7 +15,13 @@ from app.core.web.templating import Templates
 from app.line.live.browser import Browser, Diff
 from app.line.live.bus_live import LiveState
 from app.line.live.hub import FEW_PAGES, FLOOD, MAX_SENDS_S, WINDOW_S, Broadcast, Flow, Hub, Watched
-from app.line.live.requests import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, Admission, key_of, new_command_id
+from app.line.live.requests import (
+    MAX_PAGES_OF_ACCOUNT,
+    MAX_PAGES_OF_ADDRESS,
+    Admission,
+    key_of,
+    new_command_id,
+)
 from app.line.live.screen import FEW_MOVING, Screen
 from app.settings import Site
 from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures, UnitLink
@@ -400,7 +406,7 @@ async def test_who_holds_control_is_on_every_page(world: World) -> None:
 
 def test_an_account_has_so_many_pages_and_another_has_its_own() -> None:
     admission = Admission()
-    assert all(admission.enter("ann", f"a{n}") for n in range(MAX_OF_ACCOUNT))
+    assert all(admission.enter("ann", f"a{n}") for n in range(MAX_PAGES_OF_ACCOUNT))
     assert not admission.enter("ann", "b")
     assert admission.enter("ben", "b")
     admission.leave("ann", "a0")
@@ -409,7 +415,7 @@ def test_an_account_has_so_many_pages_and_another_has_its_own() -> None:
 
 def test_an_address_has_so_many_pages() -> None:
     admission = Admission()
-    assert all(admission.enter(f"p{n}", "a") for n in range(MAX_OF_ADDRESS))
+    assert all(admission.enter(f"p{n}", "a") for n in range(MAX_PAGES_OF_ADDRESS))
     assert not admission.enter("ann", "a")
     assert admission.enter("ann", "b")
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from app.core.web.access import Role
-from app.line.live.api.routes import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, LineStream
+from app.line.live.api.routes import MAX_STREAMS_OF_ACCOUNT, MAX_STREAMS_OF_ADDRESS, LineStream
 from app.line.live.bus_live import LiveState
 from app.line.live.requests import Admission
 from tests.app.complete_app import HOST, House, complete_app
@@ -124,9 +124,9 @@ async def test_its_headers_alone(house: House) -> None:
 
 
 async def test_too_many_of_one_account(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
-    admission = Admission(MAX_OF_ACCOUNT, MAX_OF_ADDRESS)
+    admission = Admission(MAX_STREAMS_OF_ACCOUNT, MAX_STREAMS_OF_ADDRESS)
     monkeypatch.setattr(house.services[LineStream], "admission", admission)
-    for number in range(MAX_OF_ACCOUNT):
+    for number in range(MAX_STREAMS_OF_ACCOUNT):
         assert admission.enter("key-viewer (token)", f"elsewhere {number}")
     viewer = await house.program(Role.VIEWER)
     response = await viewer.get("/api/v1/stream")

@@ -261,6 +261,17 @@ class Interval(NamedTuple):
     word: int
 
 
+def united(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return spans of time, in order, in which those that touch are joined."""
+    found: list[tuple[int, int]] = []
+    for at, until in sorted(spans):
+        if found and at <= found[-1][1]:
+            found[-1] = (found[-1][0], max(until, found[-1][1]))
+        else:
+            found.append((at, until))
+    return found
+
+
 def intervals(parts: Iterable[tuple[int, int, int]], marks: Marks, usual: int = 0) -> list[Interval]:
     """Join neighbors with the same bits and no hole between them; return the intervals in order of time."""
     ordered = sorted(parts)

@@ -137,7 +137,7 @@ SNAPSHOT_S = 1.0
 """The age in seconds up to which a snapshot serves another program; later changes follow it."""
 MAX_BYTES = 4 * 1024 * 1024
 """The bytes of events kept: some ten seconds of the longest line at four readings a second."""
-MAX_OF_ACCOUNT, MAX_OF_ADDRESS = 16, 64
+MAX_STREAMS_OF_ACCOUNT, MAX_STREAMS_OF_ADDRESS = 16, 64
 RETRY = b"retry: 2000\n"
 """Sent first: the milliseconds after which a client connects again."""
 
@@ -151,7 +151,7 @@ class LineStream:
     monotonic: MonotonicClock = monotonic_now
 
     def __post_init__(self) -> None:
-        self.admission = Admission(MAX_OF_ACCOUNT, MAX_OF_ADDRESS)
+        self.admission = Admission(MAX_STREAMS_OF_ACCOUNT, MAX_STREAMS_OF_ADDRESS)
         self._recent = RecentEvents(token_hex(4), MAX_BYTES)
         self._shown: dict[tuple[str, int | None], Json] = {}
         """The state of each bus and unit (None: the bus itself) as last compared; empty while no one
