@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import re
 import ssl
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -136,6 +136,15 @@ def read_certificate(file: Path) -> Certificate:
         return certificates_in(_text_of(file))[0]
     except MalformedCertificateError as error:
         raise TlsFileError(Message.of("tls_no_certificate", file=str(file))) from error
+
+
+def certificate_that_counts(file: Path, which: Callable[..., Certificate]) -> Certificate | None:
+    """Return the certificate of a file whose end counts; None if the file cannot be read. ``which``: min for
+    a server, which ends with the first of its certificates; max for authorities."""
+    try:
+        return which(certificates_in(_text_of(file)), key=lambda each: each.ends_at)
+    except (MalformedCertificateError, TlsFileError):
+        return None
 
 
 def date_fault(certificate: Certificate, file: Path, now: UnixTime) -> Message | None:

@@ -6,7 +6,6 @@ import socket
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
-from ipaddress import ip_address
 from pathlib import Path
 
 import click
@@ -26,6 +25,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from app.cli.command import become_owner_of, config_option, report, wrong_option
 from app.core.database.files import write_file
 from app.settings import HostName, ServerSettings, Settings, host_name, load
+from app.system.opcua.access import alternative_name, key_usage
 from bus.errors import LinesideError
 from bus.instants import unix_now
 from bus.messages import Message
@@ -38,10 +38,6 @@ AUTHORITY_DAYS = 3650
 DAYS = 730
 """Browsers refuse a server certificate of more than 825 days, even from a site's own authority."""
 _PURPOSES = {"server": ExtendedKeyUsageOID.SERVER_AUTH, "worker": ExtendedKeyUsageOID.CLIENT_AUTH}
-_USAGES = (
-    *("digital_signature", "content_commitment", "key_encipherment", "data_encipherment", "key_agreement"),
-    *("key_cert_sign", "crl_sign", "encipher_only", "decipher_only"),
-)
 
 
 @click.group
@@ -135,7 +131,7 @@ class CertificateAuthority:
             name = _subject(f"{site} authority")
             builder = _certificate_of(self._key.public_key(), name, name, AUTHORITY_DAYS)
             builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-            usage = _key_usage(key_cert_sign=True, crl_sign=True)
+            usage = key_usage("key_cert_sign", "crl_sign")
             self._sign(self.file, builder.add_extension(usage, critical=True))
         certificate = _certificate_in(self.file)
         if certificate is None:
@@ -151,12 +147,12 @@ class CertificateAuthority:
         public_key = _key_in(key_file).public_key()
         builder = _certificate_of(public_key, _subject(name), self._certificate.subject, DAYS)
         builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        builder = builder.add_extension(_key_usage(digital_signature=True), critical=True)
+        builder = builder.add_extension(key_usage("digital_signature"), critical=True)
         builder = builder.add_extension(x509.ExtendedKeyUsage([_PURPOSES[kind]]), critical=False)
         authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key())  # type: ignore[arg-type]
         builder = builder.add_extension(authority, critical=False)
         if names:
-            alternatives = x509.SubjectAlternativeName(map(_alternative, names))
+            alternatives = x509.SubjectAlternativeName(map(alternative_name, names))
             builder = builder.add_extension(alternatives, critical=False)
         self._sign(file, builder)
         return is_renewal
@@ -202,17 +198,6 @@ def _certificate_of(
     return builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)  # type: ignore[arg-type]
 
 
-def _key_usage(**used: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(**{**dict.fromkeys(_USAGES, False), **used})
-
-
 def _subject(name: str) -> x509.Name:
     """Return a name as a subject, which has at most 64 characters (RFC 5280, A.1)."""
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name[:64].strip() or "Lineside")])
-
-
-def _alternative(name: str) -> x509.GeneralName:
-    try:
-        return x509.IPAddress(ip_address(name))
-    except ValueError:
-        return x509.DNSName(name)

@@ -48,9 +48,8 @@ from bus.messages import Message, ParamValue, number
 from bus.settings import BusSettings
 from bus.tls import (
     Certificate,
-    MalformedCertificateError,
     TlsFileError,
-    certificates_in,
+    certificate_that_counts,
     date_fault,
     read_certificate,
 )
@@ -280,20 +279,11 @@ CertificateFile = tuple[str, Certificate | None]
 def certificate_files(settings: Settings) -> list[CertificateFile]:
     """Read every file of certificates that the configuration names, the server's own first."""
     tls = settings.server.tls
-    own = [] if tls is None else [_read_certificates(tls.certificate, min)]
     authorities = {*settings.notify.certificates, *([tls.client_ca] if tls and tls.client_ca else [])}
     opcua = certificate_file(settings.server.data / FOLDER)
-    by_opcua = [_read_certificates(opcua, min)] if settings.opcua and opcua.exists() else []
-    return [*own, *by_opcua, *(_read_certificates(path, max) for path in sorted(authorities))]
-
-
-def _read_certificates(path: Path, which: Callable[..., Certificate]) -> CertificateFile:
-    """Read a file of certificates. ``which``: min for a server, which ends with the first of its
-    certificates; max for authorities."""
-    try:
-        return str(path), which(certificates_in(path.read_text()), key=lambda each: each.ends_at)
-    except (OSError, UnicodeDecodeError, MalformedCertificateError):
-        return str(path), None
+    own = [*([tls.certificate] if tls else []), *([opcua] if settings.opcua and opcua.exists() else [])]
+    files = [*((path, min) for path in own), *((path, max) for path in sorted(authorities))]
+    return [(str(path), certificate_that_counts(path, which)) for path, which in files]
 
 
 def certificates(settings: Settings) -> Iterator[Finding]:

@@ -30,7 +30,7 @@ from app.people.audit.log import EventLog
 from app.people.auth.store import Token
 from bus.instants import Clock, ClockWatch, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, number
-from bus.tls import MalformedCertificateError, certificates_in
+from bus.tls import Certificate, certificate_that_counts
 
 LOOK_EVERY_S = 60.0
 Expiry = tuple[UnixTime, str]
@@ -87,14 +87,11 @@ def _first(endings: Iterable[Expiry]) -> Message | Literal[False]:
     return Message.of("alarm_expires", name=name, day=day)
 
 
-def _ending(path: Path, which: Callable[[Iterable[UnixTime]], UnixTime]) -> Expiry | None:
+def _ending(path: Path, which: Callable[..., Certificate]) -> Expiry | None:
     """Return when the certificates of a file end; None for a file without any, which the code that uses the
     file reports."""
-    try:
-        found = certificates_in(path.read_text(encoding="ascii", errors="replace"))
-    except (OSError, MalformedCertificateError):
-        return None
-    return which(each.ends_at for each in found), path.name
+    found = certificate_that_counts(path, which)
+    return None if found is None else (found.ends_at, path.name)
 
 
 SiteCondition = Callable[[], Message | bool | None]

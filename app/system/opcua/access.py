@@ -113,7 +113,6 @@ def _signed(
         ]
     )
     public = key.public_key()
-    usages = dict.fromkeys(_USAGES, False) | dict.fromkeys(_USAGES[:4], True)
     builder = (
         x509.CertificateBuilder(subject, subject, public, x509.random_serial_number())
         .not_valid_before(now - timedelta(days=1))
@@ -122,7 +121,7 @@ def _signed(
             x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri), *_places(names)]), False
         )
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(x509.KeyUsage(**usages), critical=True)
+        .add_extension(key_usage(*_USAGES[:4]), critical=True)
         .add_extension(
             x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]), False
         )
@@ -133,12 +132,21 @@ def _signed(
 
 
 def _places(names: Sequence[str]) -> Iterable[x509.GeneralName]:
-    """Yield the names and addresses under which clients reach this machine."""
-    for name in dict.fromkeys((socket.gethostname(), *names)):
-        try:
-            yield x509.IPAddress(ip_address(name))
-        except ValueError:
-            yield x509.DNSName(name)
+    """Return the names and addresses under which clients reach this machine."""
+    return map(alternative_name, dict.fromkeys((socket.gethostname(), *names)))
+
+
+def alternative_name(name: str) -> x509.GeneralName:
+    """Return the name or address of a machine as a certificate has it."""
+    try:
+        return x509.IPAddress(ip_address(name))
+    except ValueError:
+        return x509.DNSName(name)
+
+
+def key_usage(*used: str) -> x509.KeyUsage:
+    """Return the usages of a key: those of `used`, and no others."""
+    return x509.KeyUsage(**{usage: usage in used for usage in _USAGES})
 
 
 def uri_of(certificate: x509.Certificate) -> str:
