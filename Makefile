@@ -17,7 +17,7 @@ INSTALL := install --disable-pip-version-check -q --no-deps --no-compile
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo free-port test browser-tests other-tests soak flaky coverage setup bench check docs release screenshots lock clean development tools
+.PHONY: demo free-port test all-tests script-tests browser-tests soak flaky coverage setup bench check docs release screenshots lock clean development tools
 .DEFAULT_GOAL := demo
 # Without its cache of compiled modules, each of hundreds of processes in the tests compiles the whole program.
 unexport PYTHONDONTWRITEBYTECODE
@@ -35,19 +35,20 @@ free-port:
 setup: $(VENV)/.lineside
 
 # All at once, each with its output in one piece. The modules are compiled once, and not by each of the processes
-# that begin together. The browser tests come before the others in the use of the cores. Of the others there are more
-# processes than cores, because much of their time is a wait for a line; still more only get in each other's way. Those
-# of complete paths wait longest, so they begin.
+# that begin together. There are more processes of tests than cores, because much of their time is a wait for a line or
+# a page; still more only get in each other's way.
 test: development
 	$(BIN)/python -m compileall -q app bus
-	$(MAKE) --no-print-directory --jobs=3 --keep-going --output-sync=target browser-tests other-tests check
+	$(MAKE) --no-print-directory --jobs=3 --keep-going --output-sync=target all-tests script-tests check
+
+all-tests: development
+	$(BIN)/pytest --processes 2+4+2 tests
+
+script-tests: development
+	node --test tests/js/*.test.js
 
 browser-tests: development
 	$(BIN)/pytest --processes 2 tests/e2e
-
-other-tests: development
-	node --test tests/js/*.test.js
-	nice -n 5 $(BIN)/pytest --processes 6 --ignore tests/e2e tests/path tests
 
 # What takes long, alone on the machine: it measures. Then each property with many random examples. 56 minutes.
 soak: development

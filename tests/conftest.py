@@ -1,6 +1,4 @@
-"""Settings for every test: examples are the same in every run, and no test sets a time limit. The tests that
-start servers come first: the many small ones fill the time in which the last of those wait.
-"""
+"""Settings for every test: examples are the same in every run, and no test sets a time limit."""
 
 from __future__ import annotations
 
@@ -46,8 +44,6 @@ settings.load_profile("lineside")
 
 pytest_plugins = ["tests.processes"]
 
-LONGEST_FIRST = ("e2e", "path", "tests", "system", "attacks", "cli")
-"""Folders whose tests start servers and programs, by how long a file of them may take."""
 APP = MIGRATIONS.parents[2]
 STORES = (MIGRATIONS, APP / "line" / "history" / "migrations", APP / "records" / "handover" / "migrations")
 
@@ -66,17 +62,6 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["PYTEST_DEBUG_TEMPROOT"] = str(MEMORY)
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The order of files in which the processes take them."""
-    items.sort(key=lambda item: rank_of(item.path.parent.name))
-
-
-def rank_of(folder: str) -> int:
-    """The place of a folder in `LONGEST_FIRST`, or after all of them."""
-    return LONGEST_FIRST.index(folder) if folder in LONGEST_FIRST else len(LONGEST_FIRST)
-
-
 # With the values of every frame, one traceback in a log takes two seconds.
 structlog.dev.ConsoleRenderer.get_active().exception_formatter = structlog.dev.plain_traceback
 # httpx looks for it with every request to an app of this process; it is not installed, and not needed.
@@ -87,7 +72,7 @@ gc.disable()
 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Keep the garbage collector from visiting it in each test."""
-    if session.config.getoption("processes") > 1 and not session.config.option.collectonly:
+    if sum(session.config.getoption("processes")) > 1 and not session.config.option.collectonly:
         draw_once()
     gc.collect()
     gc.freeze()

@@ -3,6 +3,10 @@
 They are forked from the process that has collected the tests. To import the product and collect takes six
 seconds, which each process of pytest-xdist takes for itself, after one that does nothing else, so that not
 all of them compile the tests: a tenth of what all tests take on two cores.
+
+``--processes 2+4+2`` forks so many for each pool of tests: those with a browser, those that mostly wait for a
+server or a line, and those that mostly compute. The cores then always have something to do, and there are
+never more browsers than the first number. A process whose pool has no file left takes those of another pool.
 """
 
 from __future__ import annotations
@@ -16,6 +20,10 @@ from typing import Any
 
 import pytest
 
+POOLS = (("e2e",), ("path", "tests", "system", "attacks", "cli"))
+"""The folders of the first pools, those whose files take longest first. The last pool has all others."""
+NICE = 5
+"""Browsers come before the other tests in the use of the cores."""
 TURN_BYTES = 2
 """The number of a file, in the pipe from which each process takes its next."""
 
@@ -32,23 +40,37 @@ class Process:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Declare the option."""
-    parser.addoption("--processes", type=int, default=1, help="run the files of tests in so many processes")
+    about = "run the files of tests in so many processes, or for each pool: browsers+servers+others"
+    parser.addoption("--processes", type=counts_of, default=(1,), help=about)
+
+
+def counts_of(text: str) -> tuple[int, ...]:
+    """The number of processes of each pool. Raises ValueError."""
+    return tuple(map(int, text.split("+")))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest: short ones fill the time in which the last of those wait."""
+    ranks = {folder: rank for rank, folder in enumerate(folder for pool in POOLS for folder in pool)}
+    items.sort(key=lambda item: ranks.get(item.path.parent.name, len(ranks)))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop(session: pytest.Session) -> bool | None:
     """Run the tests in processes; None where pytest itself shall run them, or refuse to."""
-    count, option = session.config.getoption("processes"), session.config.option
-    if count == 1 or option.collectonly or session.testsfailed:
+    counts, option = session.config.getoption("processes"), session.config.option
+    if sum(counts) == 1 or option.collectonly or session.testsfailed:
         return None
     files = [list(items) for _, items in groupby(session.items, key=lambda item: item.path)]
-    turns = turns_of(len(files))
+    turns = [turns_of(files, pool, len(counts)) for pool in range(len(counts))]
     processes: list[Process] = []
-    for _ in range(count):
+    for pool in (pool for pool, count in enumerate(counts) for _ in range(count)):
         reports, reporting = Pipe(duplex=False)
         session.config.get_terminal_writer().flush()
         if not (pid := os.fork()):
-            run_turns(session, turns, files, reporting)
+            start_reporting(session, reporting)
+            run_pools(session, turns, files, pool)
             return True
         reporting.close()
         processes.append(Process(pid, reports))
@@ -56,21 +78,26 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
     return True
 
 
-def turns_of(files: int) -> int:
-    """A pipe with the number of each file in order, which ends with the last."""
+def turns_of(files: Sequence[Sequence[pytest.Item]], pool: int, pools: int) -> int:
+    """A pipe with the number of each file of a pool in order, which ends with the last."""
     turns, writing = os.pipe()
-    os.write(writing, b"".join(number.to_bytes(TURN_BYTES) for number in range(files)))
+    numbers = (number for number, items in enumerate(files) if pool_of(items[0], pools) == pool)
+    os.write(writing, b"".join(number.to_bytes(TURN_BYTES) for number in numbers))
     os.close(writing)
     return turns
+
+
+def pool_of(item: pytest.Item, pools: int) -> int:
+    """The number of the pool of a test, of so many."""
+    first = (number for number, folders in enumerate(POOLS) if item.path.parent.name in folders)
+    return min(next(first, len(POOLS)), pools - 1)
 
 
 # --- in each process -------------------------------------------------------------------------------
 
 
-def run_turns(
-    session: pytest.Session, turns: int, files: Sequence[Sequence[pytest.Item]], reporting: Connection
-) -> None:
-    """Run one file after the other until none is left. The session then ends as any does, silently."""
+def start_reporting(session: pytest.Session, reporting: Connection) -> None:
+    """Be silent, and send the reports of the tests to the process that has collected them."""
     plugins = session.config.pluginmanager
     plugins.unregister(name="terminalreporter")
     plugins.register(Reporting(session.config, reporting))
@@ -78,7 +105,21 @@ def run_turns(
     capturing.stop_global_capturing()  # its file is that of all processes
     capturing.start_global_capturing()
     capturing.suspend_global_capture()
-    items = items_in_turn(turns, files)
+
+
+def run_pools(
+    session: pytest.Session, turns: Sequence[int], files: Sequence[Sequence[pytest.Item]], first: int
+) -> None:
+    """Run the files of a pool until none is left, then those of the others, but no browsers. Between two
+    pools the fixtures of the session end: the event loop of a browser is in the way of other tests."""
+    for pool in (first, *range(first + 1, len(turns)), *range(1, first)):
+        if pool:
+            os.setpriority(os.PRIO_PROCESS, 0, max(NICE, os.getpriority(os.PRIO_PROCESS, 0)))
+        run_turns(session, items_in_turn(turns[pool], files))
+
+
+def run_turns(session: pytest.Session, items: Iterator[pytest.Item]) -> None:
+    """Run one test after the other, and end the fixtures with the last."""
     item = next(items, None)
     while item:
         following = next(items, None)
@@ -119,7 +160,7 @@ class Reporting:
 # --- in the one that has collected them ------------------------------------------------------------
 
 
-def follow(session: pytest.Session, turns: int, processes: Sequence[Process]) -> None:
+def follow(session: pytest.Session, turns: Sequence[int], processes: Sequence[Process]) -> None:
     """Report what the processes report, until all have ended."""
     running = {process.reports: process for process in processes}
     while running:
@@ -131,8 +172,9 @@ def follow(session: pytest.Session, turns: int, processes: Sequence[Process]) ->
                 del running[process.reports]
                 judge_end(session, process)
         if session.shouldfail or session.shouldstop:
-            while os.read(turns, TURN_BYTES):
-                """No process takes another file."""
+            for each in turns:
+                while os.read(each, TURN_BYTES):
+                    """No process takes another file."""
     if session.shouldfail:
         raise session.Failed(session.shouldfail)
     if session.shouldstop:

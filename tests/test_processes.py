@@ -50,6 +50,29 @@ def test_every_test_runs_once_and_each_process_has_its_fixtures_to_its_end(tmp_p
     assert sorted((tmp_path / "ended").read_text("utf-8").split()) == sorted(begun)
 
 
+def test_browsers_have_their_own_processes_which_then_take_other_files(tmp_path: Path) -> None:
+    """The fixtures of the session end with the last browser: the other test waits for that."""
+    browser = """
+import os, pathlib
+def test_it(alone):
+    pathlib.Path("browsers").open("a").write(f"{os.getpid()}\\n")
+"""
+    waiting = """
+import pathlib, time
+def test_it():
+    end = time.monotonic() + 60
+    while not pathlib.Path("ended").exists():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+"""
+    (tmp_path / "e2e").mkdir()
+    for number in range(4):
+        (tmp_path / "e2e" / f"test_{number}.py").write_text(browser, "utf-8")
+    result = run(tmp_path, "--processes=1+1+1", "-q", waiting=waiting)
+    assert "5 passed" in result.stdout, result.stdout + result.stderr
+    assert len(set((tmp_path / "browsers").read_text("utf-8").split())) == 1
+
+
 def test_a_failure_is_reported_with_the_output_of_that_test(tmp_path: Path) -> None:
     """All that is printed at the same time, by processes or by what they start, stays apart."""
     failing = (

@@ -141,9 +141,11 @@ def past_site(line_server: Callable[..., Site]) -> Site:
 
 
 def browser_scope(*, fixture_name: str, config: pytest.Config) -> Literal["session", "module"]:  # noqa: ARG001
-    """One browser for all tests of a run of tests/e2e. Elsewhere one per module, because the event loop of
-    Playwright, which runs until it is closed, is in the way of asynchronous tests."""
-    return "session" if all("tests/e2e" in argument for argument in config.args) else "module"
+    """One browser for all tests of a run of tests/e2e, or of a process that runs these alone, until it is
+    done with them. Elsewhere one per module, because the event loop of Playwright, which runs until it is
+    closed, is in the way of asynchronous tests."""
+    has_pools = len(config.getoption("processes")) > 1
+    return "session" if has_pools or all("tests/e2e" in each for each in config.args) else "module"
 
 
 @pytest.fixture(scope=browser_scope)
