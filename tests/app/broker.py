@@ -140,8 +140,11 @@ async def running(folder: Path, more: str = "allow_anonymous true") -> AsyncIter
 
 
 @asynccontextmanager
-async def listening(broker: Broker, host: Host, **login: str) -> AsyncIterator[None]:
-    """Let a host follow the broker for the time of the context, also after the broker was started again."""
+async def listening(broker: Broker, host: Host, **login: str) -> AsyncIterator[asyncio.Event]:
+    """Let a host follow the broker for the time of the context, also after the broker was started again.
+
+    Yields what is set while the host has its subscription: what others publish meanwhile, it misses.
+    """
     ready = asyncio.Event()
 
     async def follow() -> None:
@@ -156,12 +159,13 @@ async def listening(broker: Broker, host: Host, **login: str) -> AsyncIterator[N
                             assert isinstance(message.payload, bytes)
                             host.take(topic, message.payload)
             except aiomqtt.MqttError:
+                ready.clear()
                 await asyncio.sleep(0.05)
 
     task = asyncio.create_task(follow())
     await until(ready.is_set, "the host listens")
     try:
-        yield
+        yield ready
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)

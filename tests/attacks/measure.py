@@ -31,7 +31,7 @@ from app.core.database import Database
 from app.people.audit.log import EventLog
 from tests.attacks.attackers import ATTACKS
 from tests.certificates import certificates
-from tests.e2e.site import Site, site
+from tests.e2e.site import CALL_S, ONE_REQUEST, Site, site
 
 SLOWEST_S = 0.25
 SLOWEST_COMMAND_S = 0.5
@@ -44,8 +44,9 @@ LATE_S = 2.0
 WARM_S = 1.0
 EVENTS, CHUNK = 300_000, 5000
 ROOT = Path(__file__).resolve().parents[2]
-ELSEWHERE = ("127.0.0.2", 0)
-"""An address of this machine that the attacker does not have."""
+ELSEWHERE = "127.0.0.2"
+"""An address of this machine that the attacker does not have. At the attacker's own, each new connection by
+HTTPS waits for the handshakes that were begun before it."""
 CORE = max(os.sched_getaffinity(0))
 """That of the attacker."""
 
@@ -123,7 +124,7 @@ def measure(
     """Attack the site for ``seconds``, and send the requests of other clients meanwhile."""
     assert target.server is not None
     health, command = Waits(), Waits()
-    with target.api("operator") as client:
+    with operator_elsewhere(target) as client:
         calls = ((health_request(target), health), (commands(client, command), command))
         # The first requests of each kind load modules, templates and pages of the store, which is no growth.
         for call, _ in calls:
@@ -190,17 +191,23 @@ def probe(call: Callable[[], None], waits: Waits, is_over: Callable[[], bool]) -
         time.sleep(PROBE_EVERY_S)
 
 
+def operator_elsewhere(target: Site) -> httpx.Client:
+    """Return an operator's client of the API at another address, with a new connection for each request."""
+    transport = httpx.HTTPTransport(verify=False, limits=ONE_REQUEST, local_address=ELSEWHERE)
+    token = {"Authorization": f"Bearer {target.tokens['operator']}"}
+    return httpx.Client(base_url=f"{target.url}/api/v1", headers=token, timeout=CALL_S, transport=transport)
+
+
 def health_request(target: Site) -> Callable[[], None]:
-    """Return a client without sign-in and at another address, with a new connection each time. At the
-    attacker's address it would wait for each handshake that was begun before its own."""
+    """Return a client without sign-in and at another address, with a new connection each time."""
 
     def call() -> None:
         # A light client: httpx would load all certificates first.
         address, tls = target.url.rpartition("/")[2], target.certificate
         connection = (
-            HTTPSConnection(address, timeout=30, source_address=ELSEWHERE, context=tls)
+            HTTPSConnection(address, timeout=30, source_address=(ELSEWHERE, 0), context=tls)
             if tls
-            else HTTPConnection(address, timeout=30, source_address=ELSEWHERE)
+            else HTTPConnection(address, timeout=30, source_address=(ELSEWHERE, 0))
         )
         try:
             connection.request("GET", "/healthz")

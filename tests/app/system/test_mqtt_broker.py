@@ -95,13 +95,20 @@ async def test_a_line_is_born_followed_and_leaves_its_death(tmp_path: Path) -> N
 
 async def test_what_a_broker_missed_comes_later_once_and_in_order(tmp_path: Path) -> None:
     host = Host("dry-end", "Mill 7")
-    async with running(tmp_path) as broker, listening(broker, host), site(tmp_path / "site", broker) as house:
+    async with (
+        running(tmp_path) as broker,
+        listening(broker, host) as host_listens,
+        # The node is kept out until the host listens again, which would miss its birth otherwise.
+        (relay := Relay(broker, is_cut=lambda _: not host_listens.is_set())).running(),
+        site(tmp_path / "site", relay) as house,
+    ):
         worker = await house.worker()
         await until(lambda: len(host.values) == 3, "every unit is born")
         node = node_of(house)
         await until(lambda: node.backlog is not None and node.backlog.received > 0, "it was confirmed")
         broker.kill()
-        await until(lambda: node.status.fault is not None, "the broker is away")
+        relay.cut()
+        await until(lambda: node.status.fault is not None and not host_listens.is_set(), "the broker is away")
         missed = [reading(1, actual=2000 + step) for step in range(40)]
         for each in missed:
             await worker.update(each)
