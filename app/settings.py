@@ -26,9 +26,9 @@ from app.line.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse
 from app.line.history.settings import HistorySettings
 from app.people.audit.settings import Audit
 from app.people.auth.settings import OidcSettings, Sessions
-from app.records.handover.settings import ShiftSettings
+from app.records.handover.rules import ShiftSettings
 from app.records.notification.settings import NotifySettings, refuse_unknown_names
-from app.records.reports.settings import ReportSettings, refuse_unsendable
+from app.records.reports.rules import ReportSettings, refuse_unsendable
 from app.system.backup.settings import BackupSettings
 from app.system.mqtt.settings import MqttSettings
 from app.system.opcua.settings import OpcuaSettings

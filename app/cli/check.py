@@ -34,7 +34,7 @@ from app.cli.findings import (
     user,
 )
 from app.cli.starting import ListenError, PortInUse, listen, url_of
-from app.cli.status import GB, is_serving, peer_faults, verification
+from app.cli.status import GB, is_opcua_server, is_serving, peer_faults, verification
 from app.core.database.connection import examining, has_table
 from app.core.database.files import free_bytes
 from app.core.database.migration import presence_of, refuse_newer
@@ -44,14 +44,12 @@ from app.errors import StoreError
 from app.people.audit.anchor import anchor_file
 from app.people.auth.settings import OidcSettings
 from app.people.auth.single_sign_on import provider_of, require_package
-from app.records.notification.plan import NotificationEndpoint, NotificationPlan
-from app.records.notification.rules import NotDeliveredError
+from app.records.notification.rules import NotDeliveredError, NotificationEndpoint, NotificationPlan
 from app.records.notification.senders import apprise_service, reach_hook, reach_mail_server
 from app.records.notification.settings import AppriseSettings, NotifySettings, WebhookSettings
 from app.settings import LOCK_FILE, ServerSettings, Settings, load
 from app.system.mqtt.session import connected, identifier_for
 from app.system.mqtt.settings import MqttSettings
-from app.system.opcua.probe import is_opcua_server
 from app.system.opcua.process import require_package as require_asyncua
 from app.system.postgresql.destination import Destination
 from app.system.postgresql.outbox import read_identity

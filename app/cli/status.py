@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import json
 import ssl
+import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -31,7 +32,6 @@ from app.settings import Settings, load
 from app.system.backup.folder import next_due
 from app.system.backup.service import newest_in
 from app.system.mqtt.backlog import read_backlog
-from app.system.opcua.probe import is_opcua_server
 from app.system.peers.client import fault_of
 from app.system.peers.settings import PeerSettings
 from app.system.postgresql.outbox import read_cursor
@@ -42,6 +42,33 @@ from bus.instants import UnixTime, unix_now
 from bus.messages import Message, number
 from bus.settings import BusSettings
 from bus.tls import TlsFileError, read_certificate
+
+ACKNOWLEDGES_WITHIN_S = 10.0
+MAX_ACKNOWLEDGE = 28
+EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
+
+
+async def is_opcua_server(host: str, port: int) -> bool:
+    """Return whether an OPC UA server listens there: it acknowledges a hello. Raise OSError if nothing
+    listens."""
+    host = EVERY_ADDRESS.get(host, host)
+    reader, writer = await asyncio.open_connection(host, port)
+    try:
+        writer.write(_hello(f"opc.tcp://{host}:{port}/"))
+        async with asyncio.timeout(ACKNOWLEDGES_WITHIN_S):
+            return (await reader.read(MAX_ACKNOWLEDGE)).startswith(b"ACKF")
+    except TimeoutError:
+        return False
+    finally:
+        writer.close()
+
+
+def _hello(url: str) -> bytes:
+    """Return a hello with the usual sizes of buffers, for messages of any size."""
+    text = url.encode()
+    body = struct.pack("<5Ii", 0, 65_535, 65_535, 0, 0, len(text)) + text
+    return b"HELF" + struct.pack("<I", 8 + len(body)) + body
+
 
 WITHIN_S = 5.0
 MB, GB = 1e6, 1e9

@@ -41,7 +41,7 @@ from app.people.auth.accounts import Accounts
 from app.people.auth.rights import Rights
 from app.people.auth.settings import OidcSettings
 from app.people.auth.store import Token, User
-from app.records.handover.settings import ShiftSettings
+from app.records.handover.rules import ShiftSettings
 from app.records.notification.settings import NotifySettings
 from app.settings import ServerSettings, Settings, Site, load
 from bus.contract import Hello, Snapshot, Welcome

@@ -13,9 +13,8 @@ from app.core.database.files import MIN_FREE_OF_OTHERS
 from app.core.web.access import Role
 from app.records.handover import notes
 from app.records.handover.notes import MAX_AGE_DAYS, MAX_PER_HOUR
-from app.records.handover.rules import Shift
+from app.records.handover.rules import Shift, ShiftSettings
 from app.records.handover.service import Handover
-from app.records.handover.settings import ShiftSettings
 from app.settings import ServerSettings
 from tests.app.complete_app import House, complete_app
 from tests.app.records.test_shift_pictures import png

@@ -1,27 +1,44 @@
-"""The feature of alarms: those of each bus and of the site, their journal and its figures."""
+"""The feature of alarms: those of each bus and of the site, their journal and its figures; and the page of
+the alarms that the site defines, with the form for one and its simulation over stored history."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from typing import Annotated, Any, NamedTuple, get_args
+
+from fastapi import APIRouter, Form, Query
+from pydantic import BaseModel, Field
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
 
 from app.core.database import Database
 from app.core.find.finders import Finders, FoundPlace, Search, matched
 from app.core.messages import Language
-from app.core.web.access import Caller
-from app.core.web.services import Registry
-from app.core.web.templating import Templates
+from app.core.web.access import Caller, Engineer, Person
+from app.core.web.routes import GuardedRoute
+from app.core.web.services import Registry, service_of
+from app.core.web.shape import parse_integer
+from app.core.web.templating import Templates, render, templates_of
+from app.errors import Problem
 from app.feature import Feature, Services
-from app.line.alarms import api, own_alarms, own_pages, pages
-from app.line.alarms.acts import ACTS
+from app.line.alarms import api, own_alarms, pages
+from app.line.alarms.acts import ACTS, ADD_OWN, REMOVE_OWN
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.api import AlarmShown, alarm_json
 from app.line.alarms.bus_alarms import BusAlarms, control_left_by
 from app.line.alarms.journal import AlarmStore
 from app.line.alarms.line_alarms import AlarmBanner, ExpiryWatch, LineAlarms, SiteAlarms
-from app.line.alarms.own_alarms import OwnAlarmBook
-from app.line.alarms.simulation import Simulator
+from app.line.alarms.own_alarms import OwnAlarmBook, OwnBook, SimulatorOf, WrittenText
+from app.line.alarms.own_condition import proposed
+from app.line.alarms.pages import SEE_OTHER, TypedReason, given_reason, places_of
+from app.line.alarms.performance import DAY_S
+from app.line.alarms.settings import OwnValue
+from app.line.alarms.simulation import AlarmSimulation, Simulator
 from app.line.conditions.catalogue import AUDIT_DEGRADED, DISK_LOW, EVENTS_NOT_ARCHIVED, HISTORY_DEGRADED
+from app.line.history.api import HistoryOf
+from app.line.history.series import values
+from app.line.history.series.values import VALUES
 from app.line.history.service import History
 from app.line.live.api.routes import AlarmType, LineStream
 from app.line.live.bus_live import BusLive
@@ -32,8 +49,204 @@ from app.people.audit.anchor import Anchoring, AnchorStatus
 from app.people.audit.archive import EventArchive
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
-from bus.instants import monotonic_now
-from bus.messages import Message
+from bus.instants import monotonic_now, unix_now
+from bus.messages import Message, term
+from bus.settings import UnitSettings
+
+router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
+
+SPANS = (1, 7, 31)
+_NUMBERS = ("above", "below", "deadband", "change_per_s")
+_DELAYS = ("on_delay_s", "off_delay_s")
+_TEXTS = ("cause", "consequence", "response")
+UNNAMED = term("New alarm")
+"""The name of an alarm that is simulated before it has one."""
+_WITHOUT_FIELD = {"realarm_s", "latch"}
+WrittenField = Annotated[str, Field(max_length=80)]
+
+
+class OwnValueWords(NamedTuple):
+    """The name of a value in a reader's language, by the label of the unit if it has one, and its unit of
+    measure, empty if none is configured."""
+
+    name: str
+    measure: str
+
+
+class WrittenAlarm(BaseModel):
+    """The form as it was filled in; without ``place`` it was not. ``change``: the key of the alarm to change,
+    from ``version``."""
+
+    name: WrittenField = ""
+    place: WrittenField = ""
+    value: WrittenField = "actual"
+    above: WrittenField = ""
+    below: WrittenField = ""
+    deadband: WrittenField = ""
+    change_per_s: WrittenField = ""
+    state: WrittenField = ""
+    on_delay_s: WrittenField = ""
+    off_delay_s: WrittenField = ""
+    priority: WrittenField = "medium"
+    cause: WrittenText = ""
+    consequence: WrittenText = ""
+    response: WrittenText = ""
+    days: WrittenField = "7"
+    change: Annotated[str, Field(max_length=200)] = ""
+    version: WrittenField = ""
+
+
+@router.get("/alarms/own")
+async def own_alarms_page(
+    request: Request,
+    person: Engineer,
+    simulator: SimulatorOf,
+    history: HistoryOf,
+    query: Annotated[WrittenAlarm, Query()],
+) -> Response:
+    """Show the alarms of the site, the form, and what the alarm of the form would have done."""
+    written = _written(query)
+    if not written["place"]:
+        return _page(request, written)
+    try:
+        unnamed = templates_of(request).language_of(request).t(UNNAMED)
+        settings = proposed(
+            {**_keys(request, written), **_name(written, unnamed)}, list(history.buses.values())
+        )
+    except Problem as problem:
+        return _page(request, written, fault=problem)
+    end, bus = unix_now(), history.buses[settings.bus]
+    start = end - int(written["days"]) * DAY_S
+    found = await simulator.run(bus, settings, start, end, person.account)
+    return _page(request, written, found=found)
+
+
+@router.get("/alarms/own/values")
+async def values_of_unit(request: Request, _: Engineer, query: Annotated[WrittenAlarm, Query()]) -> Response:
+    """Show the choice of values, by the labels of the chosen unit."""
+    written = _written(query)
+    return render(
+        request, "alarms/_own_values.html", written=written, values=_values(request, written["place"])
+    )
+
+
+@router.post("/alarms/own")
+async def store_own_alarm(
+    request: Request,
+    person: Annotated[Person, ADD_OWN.permitted],
+    own: OwnBook,
+    form: Annotated[WrittenAlarm, Form()],
+) -> Response:
+    """Add the alarm of the form, or change the one that it names."""
+    written = _written(form)
+    keys = _keys(request, written) | _name(written, "")
+    try:
+        if written["change"]:
+            version = parse_integer(written["version"]) or 0
+            await own.change(person, written["change"], version, _kept(own, written["change"]) | keys)
+        else:
+            await own.add(person, keys)
+    except Problem as problem:
+        return _page(request, written, fault=problem)
+    return RedirectResponse("/alarms/own", SEE_OTHER)
+
+
+@router.post("/alarms/own/remove")
+async def remove_own_alarm(
+    person: Annotated[Person, REMOVE_OWN.permitted],
+    own: OwnBook,
+    alarm: Annotated[str, Form(max_length=200)],
+    version: Annotated[int, Form(ge=1, le=2**62)],
+    reason: TypedReason = "",
+) -> Response:
+    """Remove an alarm that was added."""
+    await own.remove(person, alarm, version, given_reason(reason))
+    return RedirectResponse("/alarms/own", SEE_OTHER)
+
+
+def _page(
+    request: Request,
+    written: dict[str, str],
+    *,
+    fault: Problem | None = None,
+    found: AlarmSimulation | None = None,
+) -> Response:
+    own, alarms = service_of(request, OwnAlarmBook), service_of(request, LineAlarms)
+    return render(
+        request,
+        "alarms/own.html",
+        configured=[(each, alarms.place(each.bus, each.unit), added) for each, added in own.every()],
+        left_aside=list(own.left_aside.values()),
+        places=[place for place in places_of(alarms) if "/" in place[0]],
+        values=_values(request, written["place"]),
+        values_of={place: _values(request, place) for place in _places_of(own)},
+        spans=SPANS,
+        written=written,
+        fault=None if fault is None else fault.message,
+        found=found,
+        status=200 if fault is None else fault.status,
+    )
+
+
+def _written(form: WrittenAlarm) -> dict[str, str]:
+    written: dict[str, str] = form.model_dump()
+    return written | ({} if written["days"] in map(str, SPANS) else {"days": "7"})
+
+
+def _places_of(own: OwnAlarmBook) -> set[str]:
+    return {f"{each.bus}/{each.unit}" for each, _ in own.every()}
+
+
+def _values(request: Request, place: str) -> dict[str, OwnValueWords]:
+    """Return the name and the unit of measure of each value of a unit; without labels for an unknown unit."""
+    bus, _, number = place.partition("/")
+    configured = service_of(request, History).buses.get(bus)
+    units = () if configured is None else configured.unit
+    unit = next((each for each in units if str(each.id) == number), None)
+    translate = templates_of(request).language_of(request).t
+    return {name: _words(unit, name, translate) for name in get_args(OwnValue)}
+
+
+def _words(unit: UnitSettings | None, name: str, translate: Callable[..., str]) -> OwnValueWords:
+    value = VALUES["actual" if name == "deviation" else name]
+    words = values.text(value, translate)
+    wired = values.label(unit, value) if unit else ""
+    return OwnValueWords(
+        f"{wired} ({words})" if wired else words, values.measure(unit, value) if unit else ""
+    )
+
+
+def _name(written: Mapping[str, str], otherwise: str) -> dict[str, str]:
+    return {"name": written["name"].strip() or otherwise}
+
+
+def _kept(own: OwnAlarmBook, key: str) -> dict[str, Any]:
+    """Return the settings of an alarm for which the form has no field, so that they stay."""
+    former = own.added.get(key)
+    return {} if former is None else former.settings.model_dump(include=_WITHOUT_FIELD)
+
+
+def _keys(request: Request, written: dict[str, str]) -> dict[str, Any]:
+    """Return the keys of ``[[alarm]]``; a number may have the decimal comma of the reader."""
+    formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
+    bus, _, unit = written["place"].partition("/")
+    keys: dict[str, Any] = {
+        "bus": bus,
+        "unit": parse_integer(unit) or 0,
+        "value": written["value"],
+        "priority": written["priority"],
+    }
+    keys |= {key: formats.typed_number(written[key]) for key in _NUMBERS if written[key].strip()}
+    keys |= {key: written[key].strip() for key in _TEXTS}
+    keys |= {key: _delay(formats.typed_number(written[key])) for key in _DELAYS if written[key].strip()}
+    return keys | ({"state": written["state"]} if written["state"] else {})
+
+
+def _delay(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 async def _find(alarms: LineAlarms, search: Search) -> Iterable[FoundPlace]:
@@ -129,6 +342,6 @@ def _stream(stream: LineStream, alarms: LineAlarms, alarm: Alarm) -> None:
 
 FEATURE = Feature(
     make,
-    (own_pages.router, own_alarms.router, api.router, pages.router),
+    (router, own_alarms.router, api.router, pages.router),
     acts=ACTS,
 )

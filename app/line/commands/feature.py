@@ -29,7 +29,7 @@ from app.feature import Feature, Services
 from app.line.commands import api, safeguards_api
 from app.line.commands.api import FrameShown, frame_json
 from app.line.commands.catalogue import READ_TRACE, ROLES_BY_COMMAND
-from app.line.commands.pages import bus, line, parameters, speed, staged, unit
+from app.line.commands.pages import bus, line, speed, unit
 from app.line.commands.record import CommandRecord
 from app.line.commands.safeguards import ACTS, Safeguards
 from app.line.commands.service import Commands, CommandService, permitted
@@ -210,8 +210,8 @@ FEATURE = Feature(
         router,
         line.router,
         speed.router,
-        staged.router,
-        parameters.router,
+        line.staged_router,
+        unit.parameters_router,
         bus.router,
         unit.router,
     ),

@@ -1,5 +1,5 @@
-"""Shifts by the clock of the site, the scope of a sheet or report, and the parts of a picture that are kept.
-Pure.
+"""Shifts by the clock of the site with their settings, the scope of a sheet or report, and the parts of a
+picture that are kept. Pure.
 
 A shift lasts from one start to the next. Where the clocks change, a shift is an hour shorter or longer.
 """
@@ -10,13 +10,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from struct import error, pack, unpack_from
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 from zlib import crc32
 from zoneinfo import ZoneInfo
 
+from pydantic import Field, field_validator
+
+from app.records.notification.settings import ClockTime, minute_of_day
 from bus.errors import CallerError
 from bus.instants import UnixTime
 from bus.messages import Message
+from bus.settings import StrictModel
 
 DAY = timedelta(days=1)
 
@@ -295,3 +299,25 @@ def _part(content: bytes, place: int, length: int) -> bytes:
     if len(part) < length:
         raise _BrokenPictureError
     return part
+
+
+class ShiftSettings(StrictModel):
+    """The start times of the site's shifts, and the space for pictures."""
+
+    starts: Annotated[tuple[ClockTime, ...], Field(min_length=1, max_length=24)] = ("06:00", "14:00", "22:00")
+    """The local times at which shifts start; a shift lasts until the next start."""
+    pictures_mb: Annotated[int, Field(ge=0, le=1_000_000)] = 2_000
+    """The most space for the pictures of all notes, in MB."""
+
+    @property
+    def minutes(self) -> list[int]:
+        """The starts as minutes after local midnight."""
+        return [minute_of_day(each) for each in self.starts]
+
+    @field_validator("starts")
+    @classmethod
+    def _each_once(cls, starts: tuple[str, ...]) -> tuple[str, ...]:
+        for index, start in enumerate(starts):
+            if start in starts[:index]:
+                raise ValueError(Message.of("setting_shift_twice", time=start))
+        return starts

@@ -14,10 +14,11 @@ import structlog
 from app.errors import StoreError
 from app.people.audit.log import EventLog
 from app.records.notification.outbox import NotificationDelivery, NotificationOutbox, OutboxItem, conclusion
-from app.records.notification.plan import NotificationEndpoint, NotificationPlan
 from app.records.notification.rules import (
     FAILING_ATTEMPTS,
     NotDeliveredError,
+    NotificationEndpoint,
+    NotificationPlan,
     heartbeat_due,
     next_turn,
     retry_after_s,

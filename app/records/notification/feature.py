@@ -26,7 +26,7 @@ from app.records.notification.api import Notifying
 from app.records.notification.compose import AcknowledgeLinks, Composer
 from app.records.notification.dispatcher import Dispatcher, subject_of
 from app.records.notification.outbox import NotificationOutbox, ReportAttachments
-from app.records.notification.plan import NotificationPlan
+from app.records.notification.rules import NotificationPlan
 from app.records.notification.senders import Senders
 from app.records.notification.service import (
     ACTS,

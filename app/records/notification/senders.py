@@ -31,8 +31,7 @@ from app.records.notification.outbox import (
     ReportAttachments,
     ReportNotice,
 )
-from app.records.notification.plan import NotificationEndpoint
-from app.records.notification.rules import NotDeliveredError
+from app.records.notification.rules import NotDeliveredError, NotificationEndpoint
 from app.records.notification.settings import AppriseSettings, SmtpSettings, WebhookSettings
 from bus.errors import LinesideError
 from bus.instants import UnixTime

@@ -37,8 +37,8 @@ from app.records.notification.outbox import (
     end_quiet,
     notice_of,
 )
-from app.records.notification.plan import EndpointKind
 from app.records.notification.rules import (
+    EndpointKind,
     Episode,
     Followed,
     PlannedNotice,

@@ -27,7 +27,7 @@ from app.records.handover.figures import LineFigures, SpanFigures
 from app.records.handover.rules import EVERYTHING, Scope, Shift, site_time
 from app.records.handover.service import readable
 from app.records.notification.outbox import Attachment, OutboxItem, ReportNotice
-from app.records.notification.plan import NotificationEndpoint
+from app.records.notification.rules import NotificationEndpoint
 from app.records.reports.report import span_report
 from app.records.reports.rules import SpanName, last_due, named_span, span_fault
 from app.settings import Settings

@@ -23,7 +23,7 @@ from app.engineering.tray.contents import (
     steps_of,
     unable_units,
 )
-from app.engineering.tray.own_tray import TrayResult, send_changes, tray_rows
+from app.engineering.tray.feature import TrayResult, send_changes, tray_rows
 from app.errors import Problem
 from app.line.commands.limits import NO_LIMITS
 from app.line.commands.review import change_of

@@ -20,8 +20,7 @@ from app.core.messages.languages import Languages
 from app.core.web.formats import Formats
 from app.records.notification.compose import Composer, Letter, hook_body
 from app.records.notification.outbox import AlarmNotice, NoticeKind, NotificationDelivery, OutboxItem
-from app.records.notification.plan import NotificationEndpoint
-from app.records.notification.rules import NotDeliveredError
+from app.records.notification.rules import NotDeliveredError, NotificationEndpoint
 from app.records.notification.senders import (
     MAIL_PASSWORD_VARIABLE,
     Senders,

@@ -22,10 +22,10 @@ import pytest_asyncio
 from asyncua import Client, ua
 from asyncua.ua.uaerrors import BadIdentityTokenRejected, BadUserAccessDenied, UaStatusCodeError
 
+from app.cli.status import is_opcua_server
 from app.system.opcua import gate
 from app.system.opcua.access import OwnCertificate
 from app.system.opcua.link import StandingAlarm
-from app.system.opcua.probe import is_opcua_server
 from bus.instants import unix_now
 from tests.app.fake_worker import until
 from tests.app.opcua import (

@@ -8,7 +8,7 @@ import pytest
 
 from app.line.live.bus_live import BusLive, LiveState, offline_after_s, scan_s_of, stale_after_s
 from app.system.opcua.link import Changes, Frames, frame, state_of, to_process
-from app.system.opcua.values import OTHER_UNIT, Point, unit_id, unit_points
+from app.system.opcua.space import OTHER_UNIT, Point, unit_id, unit_points
 from app.system.tags import scale_now, tags_of
 from bus.contract import BusFigures, BusLink, Staged, UnitFigures, UnitLink
 from bus.instants import UnixTime

@@ -19,9 +19,8 @@ from app.line.commands.catalogue import CHANGE_BAUD, SCAN_BUS
 from app.line.commands.limits import MAX_READ_ONLY_MINUTES
 from app.line.commands.page_context import BusPage, Page, PageOfBus, UnitPage, new_id
 from app.line.commands.pages.line import review_change
-from app.line.commands.pages.parameters import review_value
 from app.line.commands.pages.speed import review_setpoint
-from app.line.commands.pages.unit import review_analog_value, review_switch
+from app.line.commands.pages.unit import review_analog_value, review_switch, review_value
 from app.line.commands.review import outcome_text
 from app.line.commands.safeguards import END_READ_ONLY, FORCE_CONTROL, SET_READ_ONLY, TAKE_CONTROL
 from app.line.commands.service import permitted
