@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from itertools import product
 from typing import Any
 
 import pytest
@@ -67,12 +68,16 @@ def is_shown(page: Page, unit: int, level: str) -> None:
     expect(page.locator(f'[data-unit="line/{unit}"]').first).to_have_attribute("data-is", level)
 
 
-@pytest.mark.parametrize(("size", "locale"), in_turn([PANEL, PHONE], (ENGLISH, GERMAN)))
+@pytest.mark.parametrize(
+    ("shown", "locale"),
+    in_turn(list(product(("/", "/?view=rows"), (PANEL, PHONE))), (ENGLISH, GERMAN), first=2),
+)
 def test_nothing_moves_while_the_story_runs(
-    site: Site, shared_page: OpensPages, size: Any, locale: str
+    site: Site, shared_page: OpensPages, shown: tuple[str, Any], locale: str
 ) -> None:
     site.end_alarms()
-    page = opened(shared_page("operator", viewport=size, locale=locale), "/")
+    path, size = shown
+    page = opened(shared_page("operator", viewport=size, locale=locale), path)
     page.wait_for_load_state("networkidle")
     page.evaluate(COUNT_SHIFTS)
     remote = site.line.remote

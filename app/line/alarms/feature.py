@@ -332,7 +332,7 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
     def alarms_in(_: Caller | None, language: Language) -> Fields:
         return banner.banner(Translator(language, templates.formats(language.tag)))
 
-    services[Sources].show_alarms(banner.banner, banner.unit_fields)
+    services[Sources].show_alarms(banner.banner, banner.unit_fields, banner.delay_s)
     templates.parts["head_alarms"] = alarms_in
 
 

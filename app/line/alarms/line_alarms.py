@@ -410,6 +410,15 @@ class AlarmBanner:
             f"alarm_{field}": text for field, text in fields.items()
         }
 
+    def delay_s(self, place: str, code: str) -> float:
+        """Return after how many seconds a condition of a unit (``dry-end/4``) or bus becomes an alarm; 0 if
+        it is one, or something hides it."""
+        bus, _, unit = place.partition("/")
+        alarm = self._alarms.known(alarm_key(bus, int(unit) if unit else None, code))
+        if alarm is None or alarm.facts.active or alarm.facts.is_hidden:
+            return 0.0
+        return alarm.definition.attributes.on_delay_s
+
 
 def alarm_counts(active: int, waiting: int) -> tuple[Message, Message | None]:
     """Return the number of active alarms, and the number that waits for an acknowledgement, whether active or

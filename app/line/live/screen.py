@@ -11,9 +11,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from decimal import Decimal
+from math import ceil
 from typing import NamedTuple
 
 from app.core.web.formats import UNKNOWN
+from app.line.conditions.catalogue import TILES
 from app.line.conditions.condition import PRIORITIES
 from app.line.live.bus_live import (
     BusLive,
@@ -55,7 +57,7 @@ from app.line.live.fields import (
     unit_fields,
     unit_key,
 )
-from app.line.live.sources import Sources
+from app.line.live.sources import AlarmDelay, Sources, no_delay
 from bus.instants import UnixTime
 from bus.messages import NUMBER, Message, listed, term
 
@@ -115,11 +117,12 @@ def line_fields(
     translator: Translator,
     now: UnixTime,
     alarmed: Set[str] = frozenset(),
+    alarm_delay_s: AlarmDelay = no_delay,
 ) -> Fields:
     """Return the fields of the line. ``found``: everything abnormal, the worst first; ``alarmed``: the units
-    with an active alarm. The verdict is the worst cause (``cause``) after the name of its unit (``name``),
-    which a narrow page may drop; ``untimed`` is the cause without its time, which the pages of units and
-    alarms state beside the condition."""
+    with an active alarm; ``alarm_delay_s``: when a condition becomes one. The verdict is the worst cause
+    (``cause``) after the name of its unit (``name``), which a narrow page may drop; ``untimed`` is the cause
+    without its time, which the pages of units and alarms state beside the condition."""
     counts = state_counts(views.values())
     abnormal = len(_abnormal_units(buses, found) | alarmed)
     worst = verdict_of(found)
@@ -140,7 +143,12 @@ def line_fields(
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
         "abnormal": f"{abnormal}",
         "staged": f"{sum(map(units_staged, buses.values())) or ''}",
-        "named": _named(found, worst.key if worst else "", views, translator, now),
+        "named": " · ".join(
+            [
+                *_not_yet(worst, alarm_delay_s, translator),
+                *_named(found, worst.key if worst else "", views, translator, now),
+            ]
+        ),
     } | _figures(buses, translator, now)
 
 
@@ -212,7 +220,7 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
 
 def _named(
     found: Sequence[NamedCause], worst: str, views: Views, translator: Translator, now: UnixTime
-) -> str:
+) -> list[str]:
     """Return the texts beside the verdict: each abnormal bus, abnormal conditions without an alarm, each
     block. ``worst``: the key of the unit or bus that the verdict names."""
     buses = [
@@ -225,7 +233,13 @@ def _named(
         for key, view in views.items()
         if view.blocked and not (key == worst and view.cause and view.cause.code == "blocked")
     ]
-    return " · ".join([*buses, *_stopped_by_input(found, worst, translator), *blocks])
+    return [*buses, *_stopped_by_input(found, worst, translator), *blocks]
+
+
+def _not_yet(worst: NamedCause | None, alarm_delay_s: AlarmDelay, translator: Translator) -> list[str]:
+    """Return why the cause of the verdict is in no list of alarms yet."""
+    delay_s = 0.0 if worst is None else alarm_delay_s(worst.key, TILES[worst.cause.code].code)
+    return [translator.t(Message.of("line_alarm_follows", n=ceil(delay_s)))] if delay_s else []
 
 
 def _stopped_by_input(found: Sequence[NamedCause], worst: str, translator: Translator) -> list[str]:
@@ -402,4 +416,5 @@ class Screen:
         buses, views = self.live.buses, self._views
         alarmed = {key for key in views if _is_active(str(self.shown[key].get("alarm", "")))}
         found = abnormal_of(buses, views, now)
-        return self.put(LINE_GROUP, line_fields(buses, views, found, self.translator, now, alarmed))
+        delay_s = self.sources.alarm_delay_s
+        return self.put(LINE_GROUP, line_fields(buses, views, found, self.translator, now, alarmed, delay_s))

@@ -108,10 +108,18 @@ UnitAlarm = Callable[[str, int, Translator, UnixTime], Fields]
 ``alarm``, its priority, whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``,
 its name; ``alarm_state``, its state with the time that matters; ``alarm_more``, the number of others;
 ``alarm_at``, its page."""
+AlarmDelay = Callable[[str, str], float]
+"""A function that returns after how many seconds a condition, by its code, of a unit (``dry-end/4``) or bus
+becomes an alarm; 0 if it is one, or something hides it."""
 LoadedRecipe = Callable[[], tuple[str, list[str | Message]] | None]
 """A function that returns the recipe a bus loaded last and the units that differ from it since, if any."""
 Notice = Callable[[Formats, UnixTime], Message | None]
 """A function that returns the fault of a record that the server keeps, at a Unix time; None without one."""
+
+
+def no_delay(_place: str, _code: str) -> float:
+    """Return 0: no condition becomes an alarm later."""
+    return 0.0
 
 
 @dataclass(slots=True)
@@ -124,12 +132,13 @@ class Sources:
     recipes: dict[str, LoadedRecipe] = field(default_factory=dict)
     banner: AlarmBanner = lambda *_: {}
     unit_alarm: UnitAlarm = lambda *_: {}
+    alarm_delay_s: AlarmDelay = no_delay
     notices: list[Notice] = field(default_factory=list)
     history_fault: Callable[[], Message | None] = lambda: None
 
-    def show_alarms(self, banner: AlarmBanner, unit_alarm: UnitAlarm) -> None:
+    def show_alarms(self, banner: AlarmBanner, unit_alarm: UnitAlarm, delay_s: AlarmDelay) -> None:
         """Show the alarms that these functions return, from now on."""
-        self.banner, self.unit_alarm = banner, unit_alarm
+        self.banner, self.unit_alarm, self.alarm_delay_s = banner, unit_alarm, delay_s
 
     def notice(self, translator: Translator, now: UnixTime) -> str:
         """Return the faults of the server's records in the reader's language; mostly empty."""

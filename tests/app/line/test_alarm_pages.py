@@ -270,7 +270,10 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
         "alarm_more": "",
         "alarm_at": f"/alarms/{ESTOP}.1",
     }
+    assert banner.delay_s(f"{BUS}/2", "not_in_remote") == 5
     remote_off(house, unit=2)
+    assert banner.delay_s(f"{BUS}/2", "not_in_remote") == 0, "it is in the list"
+    assert (banner.delay_s(BUS, "worker_lost"), banner.delay_s(BUS, "no_unit_yet")) == (10, 0)
     assert shown() == ("low waiting", "1 alarm active", "2 to acknowledge")
     await operator.post("/alarms/acknowledge", data={"id": f"{BUS}.2.not_in_remote.1"})
     assert shown() == ("low", "1 alarm active", "1 to acknowledge")

@@ -274,6 +274,18 @@ def test_the_reason_why_a_cause_is_no_alarm_is_beside_the_verdict(tag: str, verd
     assert verdict_line(cause, translator(tag), UnixTime(43_260.0)) == f"{verdict} · {why}"
 
 
+def test_until_a_cause_is_an_alarm_the_verdict_says_when_it_will_be() -> None:
+    live = line()
+    live.buses["dry"].lose_worker(UnixTime(100.0))
+    shown = screen(live)
+    for delay_s, named in ((10.0, "alarm after 10 s"), (0.0, "")):
+        delays = {("dry", "worker_lost"): delay_s}
+        shown.sources.alarm_delay_s = lambda *condition, delays=delays: delays[condition]
+        shown.render("dry", [], UnixTime(101.0), include_bus=True)
+        assert shown.shown["line_summary"]["level"] == "urgent"
+        assert shown.shown["line_summary"]["named"] == named
+
+
 def figures(scan_s: float = 0.3) -> BusFigures:
     return BusFigures(at=100.0, scan_hz=3, scan_s=scan_s, wire_utilisation=0.9, scan_s_with_one_more=0.4)
 
