@@ -35,6 +35,7 @@ class Port:
     writers: list[asyncio.StreamWriter] = field(default_factory=list)
     state: ServerState = field(default_factory=ServerState)
     received: int = 0
+    begun_s: float = field(default_factory=lambda: asyncio.get_running_loop().time())
 
     async def connect(self, begun: bytes = b"", **options: Any) -> Ends:
         """A client that has sent ``begun``, and is accepted."""
@@ -48,7 +49,14 @@ class Port:
 
     def pass_s(self, seconds: float) -> None:
         """What the server does once a second, so much later."""
-        now = asyncio.get_running_loop().time() + seconds
+        self._check(asyncio.get_running_loop().time() + seconds)
+
+    def pass_s_of_port(self, seconds: float) -> None:
+        """What the server does so long after the port was opened: no client has waited longer than that,
+        however long the test has taken."""
+        self._check(self.begun_s + seconds)
+
+    def _check(self, now: float) -> None:
         for gate in tuple(self.gates.open):
             gate.check(now)
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import httpx
 
@@ -60,7 +61,8 @@ class Served:
 
     def client(self, role: str = "") -> httpx.Client:
         headers = {"Authorization": f"Bearer {self.tokens[role]}"} if role else {}
-        return httpx.Client(base_url=self.url, verify=self.context, headers=headers, trust_env=False)
+        options: Any = {"headers": headers, "trust_env": False, "timeout": PATIENCE_S}
+        return httpx.Client(base_url=self.url, verify=self.context, **options)
 
     def log(self) -> str:
         return (self.folder / "serve.log").read_text()

@@ -56,7 +56,9 @@ def test_every_call(api: Api, api_schema: BaseSchema) -> None:
 
 
 def test_it_describes_every_call_of_the_contract(api: Api) -> None:
-    document = httpx.get(f"{api.url}/api/v1/openapi.json", headers=api.headers, trust_env=False).json()
+    document = httpx.get(
+        f"{api.url}/api/v1/openapi.json", headers=api.headers, trust_env=False, timeout=60
+    ).json()
     unit = "/api/v1/buses/{bus}/units/{unit}"
     wanted = {
         ("get", "/api/v1/line"),

@@ -50,7 +50,7 @@ async def test_only_a_proxy_that_is_named_is_believed(
         await asyncio.wait_for(serving.wait(), 30)
         await services[Accounts].add_user("ann", Role.OPERATOR, PASSWORD, **BY)
         url = f"http://127.0.0.1:{listening.getsockname()[1]}"
-        async with httpx.AsyncClient(base_url=url, headers=MADE_UP, trust_env=False) as client:
+        async with httpx.AsyncClient(base_url=url, headers=MADE_UP, trust_env=False, timeout=60) as client:
             response = await client.post("/login", data={"name": "ann", "password": PASSWORD})
         [event], _ = await services[EventLog].page(Filter(kind="login"), 10)
         server.end()

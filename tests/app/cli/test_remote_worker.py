@@ -40,9 +40,8 @@ def test_the_server_starts_no_worker_and_takes_the_one_elsewhere(config: Path) -
     with started("serve", "--config", str(config)) as (process, url):
 
         def linked() -> list[bool]:
-            response = httpx.get(
-                f"{url}/api/v1/line", headers={"Authorization": f"Bearer {viewer}"}, trust_env=False
-            )
+            headers = {"Authorization": f"Bearer {viewer}"}
+            response = httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False, timeout=60)
             return [bus["worker"] for bus in response.json()["buses"]]
 
         eventually(lambda: linked() == [False, True], "the server's own worker is linked")

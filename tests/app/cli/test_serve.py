@@ -101,7 +101,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def is_serving(url: str) -> bool:
-    return httpx.get(f"{url}/healthz", trust_env=False).json() == {"status": "ok"}
+    return httpx.get(f"{url}/healthz", trust_env=False, timeout=PATIENCE_S).json() == {"status": "ok"}
 
 
 def only_child(process: Process) -> int:
@@ -194,7 +194,9 @@ def test_a_worker_that_is_frozen_is_replaced(config: Path) -> None:
 
         def is_linked() -> bool:
             headers = {"Authorization": f"Bearer {token}"}
-            line = httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False).json()
+            line = httpx.get(
+                f"{url}/api/v1/line", headers=headers, trust_env=False, timeout=PATIENCE_S
+            ).json()
             return bool(line["buses"][0]["worker"])
 
         eventually(is_linked, "the worker is linked")
@@ -213,7 +215,9 @@ def test_the_app_knows_its_worker_reports_the_missing_port_and_shares_its_data_w
 
         def bus() -> Any:
             headers = {"Authorization": f"Bearer {token}"}
-            return httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False).json()["buses"][0]
+            return httpx.get(
+                f"{url}/api/v1/line", headers=headers, trust_env=False, timeout=PATIENCE_S
+            ).json()["buses"][0]
 
         eventually(lambda: bus()["worker"], "the worker is linked")
         eventually(lambda: "absent" in bus()["link_cause"]["detail"], "the cause names the port")
@@ -370,13 +374,13 @@ def test_the_demo_shows_a_line_and_leaves_nothing(tmp_path: Path, monkeypatch: p
     with started("demo", "--units", "3", "--port", "0") as (process, url):
 
         def line() -> Any:
-            return httpx.get(f"{url}/api/v1/line", trust_env=False).json()
+            return httpx.get(f"{url}/api/v1/line", trust_env=False, timeout=PATIENCE_S).json()
 
         units = eventually(
             lambda: [unit for unit in line()["buses"][0]["units"] if unit["link"] == "online"][2:], "3 units"
         )
         assert units[0]["id"] == 3
-        page = httpx.get(f"{url}/", trust_env=False)
+        page = httpx.get(f"{url}/", trust_env=False, timeout=PATIENCE_S)
         assert (page.status_code, "SIMULATED" in page.text) == (200, True)
         assert list(tmp_path.iterdir())
         pids = children_of(process.pid)

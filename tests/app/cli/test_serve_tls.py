@@ -32,12 +32,14 @@ def test_https_its_own_worker_and_a_hint_for_http(tmp_path: Path) -> None:
             form = {"name": "viewer", "password": "wrong"}
             assert client.post("/login", data=form, headers={"origin": made.url}).status_code == 401
         eventually(lambda: "linked to the dashboard" in made.log(), "its own worker connects")
-        plain = httpx.get(f"http://localhost:{made.port}/", trust_env=False)
+        plain = httpx.get(f"http://localhost:{made.port}/", trust_env=False, timeout=PATIENCE_S)
         assert (plain.status_code, plain.json()["code"]) == (400, "tls_required")
         status = fork_server.run("status", "--config", tmp_path / "lineside.toml")
         assert f"serving at https://127.0.0.1:{made.port}" in status.stdout
         own = own_port(made)
-        assert httpx.get(f"http://127.0.0.1:{own}/login", trust_env=False).status_code == 400
+        assert (
+            httpx.get(f"http://127.0.0.1:{own}/login", trust_env=False, timeout=PATIENCE_S).status_code == 400
+        )
         with pytest.raises(Exception, match="403"), plain_connect(f"ws://127.0.0.1:{own}/live"):
             pass
 
@@ -196,7 +198,9 @@ def test_a_server_in_clear_for_other_machines_warns(tmp_path: Path) -> None:
         eventually(lambda: "Lineside: http://" in log.read_text(), "it serves")
         assert "cross the network in clear" in log.read_text()
         headers = {"Authorization": f"Bearer {tokens['admin']}"}
-        page = httpx.get(f"http://127.0.0.1:{port}/users", headers=headers, trust_env=False)
+        page = httpx.get(
+            f"http://127.0.0.1:{port}/users", headers=headers, trust_env=False, timeout=PATIENCE_S
+        )
         assert "cross the network in clear" in page.text
     finally:
         end(server)

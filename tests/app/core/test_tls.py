@@ -160,7 +160,7 @@ async def test_a_handshake_without_an_end_has_the_time_of_a_first_request(site: 
     idle, begun = await site.plain(), ByHand(site, await site.plain())
     begun.writer.write(begun.hello())
     await until(lambda: site.served.received)
-    site.served.pass_s(WITHIN_S[Awaited.FIRST] - 1)
+    site.served.pass_s_of_port(WITHIN_S[Awaited.FIRST] - 1)
     assert site.served.is_open(0)
     assert site.served.is_open(1)
     site.served.pass_s(WITHIN_S[Awaited.FIRST] + 1)

@@ -133,8 +133,8 @@ async def test_it_has_the_schemas_of_the_openapi_document(house: House) -> None:
 
 def test_it_is_served_to_viewers(api: Api) -> None:
     url = f"{api.url}/api/v1/asyncapi.json"
-    assert httpx.get(url, trust_env=False).status_code == 401
-    assert httpx.get(url, headers=api.headers, trust_env=False).json() == stream_document(ALARM)
+    assert httpx.get(url, trust_env=False, timeout=60).status_code == 401
+    assert httpx.get(url, headers=api.headers, trust_env=False, timeout=60).json() == stream_document(ALARM)
 
 
 @pytest.mark.parametrize("language", PROGRAMS)

@@ -26,7 +26,6 @@ UNITS = (1, 2, 16)
 @pytest.fixture(autouse=True)
 def _soon_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "RETRY_S", (0.2,))
-    monkeypatch.setattr(session, "CONNECT_S", 2.0)
 
 
 async def feed(worker: PlayedWorker, sent: list[Reading], rounds: int) -> None:

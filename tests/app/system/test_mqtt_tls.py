@@ -58,9 +58,8 @@ async def refusal(settings: MqttSettings) -> str:
     ],
 )
 async def test_who_is_not_trusted_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, server: str, own: str, ca: str, words: str
+    tmp_path: Path, server: str, own: str, ca: str, words: str
 ) -> None:
-    monkeypatch.setattr(session, "CONNECT_S", 1.0)
     files = certificates(tmp_path / "files")
     pair: dict[str, Any] = {"certificate": files / f"{own}.pem", "key": files / f"{own}.key"} if own else {}
     authority = files / ca if ca.endswith(".key") else files / f"{ca}.pem"

@@ -105,6 +105,32 @@ async def test_a_client_that_does_not_read_is_not_read_and_given_up(
     connection.connection_lost(None)
 
 
+async def test_a_socket_that_is_not_read_and_one_without_a_session_are_given_up(
+    made: Gate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gate, "READ_WITHIN_S", 0.01)
+    server = await made.bind("127.0.0.1", 0)
+    await server.start_serving()
+    port = server.sockets[0].getsockname()[1]
+    ends = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+    ends[0][1].transport.pause_reading()
+    await until(lambda: len(made.connections) == 2, "both are accepted")
+    (unread,) = (each for each in made.connections if each.peer_name == ends[0][1].get_extra_info("sockname"))
+    assert unread.transport is not None
+    unread.transport.write(bytes(20 * gate.MAX_UNREAD))
+    await until(lambda: unread not in made.connections, "it is given up")
+    assert made.server.refusals.by_reason == {"does not read": 1}
+    monkeypatch.setattr(gate, "SWEEP_S", 0.01)
+    monkeypatch.setattr(gate, "SIGN_IN_S", 0.0)
+    sweeping = asyncio.create_task(made.sweep())
+    await until(lambda: not made.connections, "the other is given up")
+    assert made.server.refusals.by_reason["no session"] == 1
+    sweeping.cancel()
+    for _, writer in ends:
+        writer.transport.abort()
+    server.close()
+
+
 async def test_a_message_in_pieces_is_one(made: Gate, transport: PlayedTransport) -> None:
     connection = await connection_of(made, transport)
     for byte in message(20):

@@ -155,9 +155,9 @@ async def test_the_alarms_of_a_unit_are_lists(site: Site) -> None:
 
 
 async def test_the_quality_of_a_value_follows_its_age(site: Site) -> None:
-    at = unix_now()
-    site.server.report(*scales(2, at), *responds(2, at, actual=500))
     async with site.connected() as client:
+        at = unix_now()
+        site.server.report(*scales(2, at), *responds(2, at, actual=500))
         await until_value(client, "dry-end/2/Speed/Actual", 50.0)
         await until_value(client, "dry-end/2/Link/State", "stale")
         old = await value(client, "dry-end/2/Speed/Actual")
@@ -346,8 +346,10 @@ async def test_what_is_no_message_ends_its_connection_at_once(site: Site, data: 
     assert await is_opcua_server("127.0.0.1", site.server.port)
 
 
+@pytest.mark.soak
 async def test_a_connection_without_a_session_ends(site: Site) -> None:
-    """A connection ends that says nothing, or stops within a message."""
+    """A connection ends that says nothing, or stops within a message, twelve seconds later; in
+    `test_opcua_gate` soon."""
     nothing, half = await asyncio.gather(raw(site, b""), raw(site, b"HELF" + struct.pack("<I", 40) + b"\x00"))
     assert (nothing, half) == (b"", b"")
 
@@ -372,7 +374,10 @@ async def reads_on(site: Site) -> None:
         await until_value(client, "dry-end/1/Speed/Actual", actual / 10)
 
 
+@pytest.mark.soak
 async def test_a_client_that_does_not_read_is_given_up(site: Site) -> None:
+    """On a busy machine, whose server must encode megabytes, this takes a minute: `test_opcua_gate` gives up
+    such a client on a real socket."""
     refused, memory = site.server.status.refused, site.server.status.memory_bytes
     async with site.connected() as client:
         browse = ua.BrowseRequest()
