@@ -17,7 +17,7 @@ const LEAST_ROOM = 12;
 const percentIn = ([from, to]) => /** @param {number} t */ (t) => (100 * (Math.min(Math.max(t, from), to) - from)) / (to - from);
 
 /** Where each alarm of a span begins and ends, and whose it is: `row` counts the priorities that occur, the most important at
- * the top; `room` is how much is free after it in its row. The most important is drawn last, over others.
+ * the top; `room` is how much is free after it in its row. That of a lower row is drawn over the area of a finger of the one above.
  * @param {Alarm[]} alarms @param {Span} span @returns {PlacedAlarm[]} */
 export function placed(alarms, [from, to]) {
   const percent = percentIn([from, to]);
@@ -32,7 +32,7 @@ export function placed(alarms, [from, to]) {
       const after = marks.filter((other) => other !== mark && other.row === mark.row && other.x >= mark.x);
       return { ...mark, room: Math.min(100, ...after.map(({ x }) => x)) - mark.end };
     })
-    .sort((a, b) => b.row - a.row || a.x - b.x);
+    .sort((a, b) => a.row - b.row || a.x - b.x);
 }
 
 /** How many rows the alarms of a span take; at least one, so that the chart does not move with the first.
@@ -84,12 +84,15 @@ function lines(trends) {
   /** @param {number | null} t @param {string} kind */
   const line = (t, kind, text = "") =>
     t === null || t < from || t > to ? [] : [part(`trends__line trends__line--${kind}`, { left: left(t) }, text)];
+  // Names of spans that are near to each other would lie over each other.
+  const named = marks.findLast(({ t, until }) => until !== null && until >= from && t <= to);
   return [
     ...unknown.map((span) => part("trends__unknown", between(span))),
-    ...marks.flatMap(({ t, until }) => {
+    ...marks.flatMap((mark) => {
+      const { t, until } = mark;
       if (until === null) return line(t, "event");
       const direction = left(t) > 50 ? "rtl" : "ltr";
-      return until < from || t > to ? [] : [part("trends__late", { ...between([t, until]), direction }, words.late)];
+      return until < from || t > to ? [] : [part("trends__late", { ...between([t, until]), direction }, mark === named ? words.late : "")];
     }),
     ...notes.flatMap(({ t }) => line(t, "note")),
     ...line(a, "cursor", "A"),

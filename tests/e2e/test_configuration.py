@@ -30,7 +30,7 @@ def test_port_and_units_of_a_bus_fit_the_page_up_to_their_review(
         page.locator("#bus-units").fill("Unwind")
         page.locator("form:has(#bus-units) [type=submit]").click()
         expect(
-            page.locator(".notice", has_text="“Unwind”" if locale == ENGLISH else "„Unwind“")
+            page.locator(".field__error", has_text="“Unwind”" if locale == ENGLISH else "„Unwind“")
         ).to_be_visible()
         assert flaws(page, locale) == []
         if send:

@@ -18,10 +18,10 @@ test("each is drawn from where it began to where it ended, within the span", () 
   assert.deepEqual(drawn([alarm("low", 50, 100), alarm("low", 200, null)]), []);
 });
 
-test("the rows are those of the priorities that occur, and the most important is drawn last", () => {
+test("the rows are those of the priorities that occur, and a lower one is drawn over the areas of the one above", () => {
   assert.deepEqual(drawn([alarm("urgent", 110, 120), alarm("medium", 110, 120), alarm("high", 10, 20)]), [
-    ["medium", 1, 10, 20, 80],
     ["urgent", 0, 10, 20, 80],
+    ["medium", 1, 10, 20, 80],
   ]);
 });
 

@@ -143,7 +143,7 @@ class AlarmList:
                 self.annunciated[alarm.definition.priority] += 1
             if each.trigger == "rise":
                 alarm.first_out = False
-                if not alarm.facts.is_hidden:
+                if not alarm.facts.is_hidden and alarm.definition.about != "parameters":
                     self._mark_first_out(alarm, each.at)
         if transitions:
             self._has_changed(alarm)

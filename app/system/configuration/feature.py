@@ -440,7 +440,11 @@ async def change_bus(
     present = await file.present()
     _refuse_beyond(present, index)
     try:
-        edit = bus_edit(index, _values(texts, scan), units_typed(units))
+        listed = units_typed(units)
+    except CallerError as error:
+        return _bus_form(request, present, scan, index, texts, errors={"units": error.message})
+    try:
+        edit = bus_edit(index, _values(texts, scan), listed)
         review = await file.review(edit, digest)
     except CallerError as error:
         return _bus_form(request, present, scan, index, texts, (error.message,))
@@ -452,6 +456,9 @@ async def change_bus(
         faults = review.faults or (Message("configuration_nothing_changed"),)
         inner = {str(each.params.get("key", each.code)): each for each in map(_inner, faults)}
         errors = {key: _right_of(inner.pop(f"bus.{key}")) for key in texts if f"bus.{key}" in inner}
+        of_units = [inner.pop(key) for key in tuple(inner) if key.startswith("bus.unit.")]
+        if of_units:
+            errors["units"] = Message.of("unit_line_refused", **of_units[0].params)
         return _bus_form(request, present, scan, index, texts, tuple(inner.values()), errors=errors)
     if not confirmed:
         return review_page(request, file, present, review, f"/configuration/bus/{index}", texts)
@@ -490,7 +497,8 @@ def units_typed(text: str) -> list[tuple[int, str]]:
     for line in filter(None, map(str.strip, text.splitlines())):
         match = _UNIT.fullmatch(line)
         if match is None or int(match[1]) in found:
-            raise CallerError(Message.of("unit_line_malformed", line=line[:80]))
+            code = "unit_line_malformed" if match is None else "unit_line_repeated"
+            raise CallerError(Message.of(code, line=line[:80]))
         found[int(match[1])] = match[2].strip()
     return list(found.items())
 

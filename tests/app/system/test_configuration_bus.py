@@ -95,8 +95,8 @@ async def test_port_and_units_are_corrected(admin: httpx.AsyncClient, file: Plan
     ("fields", "words"),
     [
         ({"units": "Unwind"}, "“Unwind” names no unit"),
-        ({"units": "1 Unwind\n1 Nip"}, "“1 Nip” names no unit"),
-        ({"units": "256 Unwind"}, "255"),
+        ({"units": "1 Unwind\n1 Nip"}, "“1 Nip” has the address of a line above it"),
+        ({"units": "256 Unwind"}, ">256: it must be at most 255"),
         ({"units": f"1 {'x' * 61}"}, "at most 60 characters"),
         ({"name": "Dry End"}, "name"),
         ({"name": "dry-end"}, "dry-end"),
