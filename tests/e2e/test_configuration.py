@@ -59,7 +59,7 @@ def test_a_unit_is_renamed_the_server_restarted_and_the_file_rolled_back(
     assert flaws(page) == []
     page.get_by_label("Reason").fill("a second one comes")
     page.get_by_role("button", name="Write the file").click()
-    expect(page.get_by_text("It takes effect at the next start of the server.")).to_be_visible()
+    expect(page.get_by_text("Version 2 is written.")).to_be_visible()
     written = site.config.read_text(encoding="utf-8")
     assert written == before.replace('name = "Unwind"', 'name = "Unwind north"', 1)
     line = browser_page("viewer", site)
@@ -69,7 +69,7 @@ def test_a_unit_is_renamed_the_server_restarted_and_the_file_rolled_back(
     # A page that was open has the new name too.
     expect(line.get_by_text("Unwind north").first).to_be_visible(timeout=MAX_MS)
     expect(page.get_by_text("Waiting for the next start")).to_have_count(0, timeout=MAX_MS)
-    page.get_by_role("link", name="Compare with the file").last.click()
+    page.get_by_role("link", name="Compare with the file: 1").click()
     page.get_by_role("button", name="Roll back to this version").click()
     page.get_by_role("button", name="Write the file").click()
     expect(page.get_by_role("cell", name="rolled back")).to_be_visible()

@@ -180,7 +180,7 @@ def test_an_undo_that_has_lapsed_is_accessible(
 ) -> None:
     page = opened(shared_page("operator", viewport=PANEL, locale=locale), "/units/line/1")
     page.locator(".nudges button").first.click()
-    undo = page.locator("[data-undo] button")
+    undo = page.locator("#setpoint-error [data-undo] button")
     expect(undo).to_be_visible()
     before = site.unit(1)["commanded"]
     site.set_speed(1, value="55.0" if before != "55.0" else "56.0")
