@@ -211,7 +211,8 @@ def test_a_torn_store_is_put_aside_and_history_begins_again(
     meet_damage(writer)
     until(lambda: bool(words) and writer.status.put_aside != "")
     [aside] = tmp_path.glob(f"{FILE}.damaged-*Z")
-    assert aside.stat().st_size >= size
+    # What was freed before the damage was met, it may have given back.
+    assert aside.stat().st_size > size / 2
     assert words == [
         f"the store of the history was damaged and is kept as {aside.name}; a new one begins here"
     ]
