@@ -26,6 +26,7 @@ from app.records.notification.rules import (
     DutyRoster,
     EndpointLoad,
     Episode,
+    NotificationPlan,
     NotificationRule,
     QuietSpan,
     Retry,
@@ -465,3 +466,30 @@ def test_there_is_always_a_turn_or_an_end_of_the_wait(
 )
 def test_a_heartbeat_is_due_when_its_time_has_come(before: str, now: str, day: str) -> None:
     assert heartbeat_due(datetime.fromisoformat(before), datetime.fromisoformat(now), 420) == day
+
+
+def test_the_plan_notifies_who_is_on_duty_and_every_program() -> None:
+    """A group of two on weekdays from 06:00 to 02:00, a webhook at any time, and a reader of reports."""
+    hours = {"days": DAYS[:5], "starts": "06:00", "ends": "22:00", "to": ["day@plant"]}
+    night = {"days": DAYS[:5], "starts": "22:00", "ends": "02:00", "to": ["night@plant"]}
+    hook = {"url": "https://plant.example/x", "secret_file": "hook.key"}
+    plan = NotificationPlan(
+        NotifySettings.model_validate(
+            {
+                "smtp": {"host": "mail", "sender": "lineside@plant", "to": ["boss@plant"]},
+                "group": [{"name": "duty", "duty": [hours, night]}],
+                "rule": [{"group": "duty"}],
+                "webhook": [hook],
+            }
+        ),
+        readers=["reader@plant"],
+    )
+    monday = datetime(2026, 11, 30, 12)
+    (webhook,) = (key for key in plan.endpoints if key.startswith("webhook:plant.example#"))
+    mail = {f"mail:{name}@plant" for name in ("boss", "day", "night", "reader")}
+    assert set(plan.endpoints) == {webhook} | mail
+    assert plan.on_duty("duty", monday) == ["day@plant"]
+    assert plan.on_duty("duty", monday.replace(hour=23)) == ["night@plant"]
+    assert plan.present(monday) == ("mail:boss@plant", webhook, "mail:day@plant")
+    spans = [(gap.params["first"], gap.params["last"]) for gap in plan.gaps("duty")]
+    assert ("02:00", "06:00") in spans

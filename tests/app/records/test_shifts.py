@@ -12,27 +12,34 @@ from zoneinfo import ZoneInfo
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
+from pydantic_core import PydanticCustomError
 
 from app.records.handover.rules import (
     EVERYTHING,
     Scope,
     Shift,
+    ShiftSettings,
     instant_of,
     shift_at,
     shifts_until,
     site_time,
 )
+from app.records.notification.settings import NotifySettings
 from app.records.reports.rules import (
     LATE_S,
     MAX_DAYS,
     SETTLE_S,
     ReportEvery,
+    ReportSettings,
     SpanName,
     last_due,
     named_span,
+    refuse_unsendable,
     span_fault,
 )
 from bus.instants import UnixTime
+from bus.settings import BusSettings
 
 BERLIN = ZoneInfo("Europe/Berlin")
 THREE = (360, 840, 1320)
@@ -237,3 +244,34 @@ def test_a_scope_is_a_condition_of_sql() -> None:
     assert EVERYTHING.conditions() == ("", [])
     assert Scope("dry").conditions() == (" AND bus = ?", ["dry"])
     assert Scope("dry", 1).conditions("e.") == (" AND e.bus = ? AND e.unit = ?", ["dry", 1])
+
+
+def test_a_start_of_a_shift_is_given_once() -> None:
+    assert ShiftSettings(starts=("06:00", "18:00")).minutes == [360, 1080]
+    with pytest.raises(ValidationError) as refused:
+        ShiftSettings(starts=("06:00", "18:00", "06:00"))
+    assert [each["loc"] for each in refused.value.errors()] == [("starts",)]
+
+
+@pytest.mark.parametrize(
+    ("report", "host", "fault"),
+    [
+        ({"bus": "dry-end", "unit": 1}, "mail", ""),
+        ({"bus": "wet-end"}, "mail", "setting_notify_bus"),
+        ({"bus": "dry-end", "unit": 9}, "mail", "setting_report_unit"),
+        ({}, "", "setting_mail_server_missing"),
+    ],
+)
+def test_a_report_that_could_not_be_sent_is_refused(report: dict[str, object], host: str, fault: str) -> None:
+    wanted = ReportSettings.model_validate({"every": "day", "at": "06:30", "to": ["a@plant"], **report})
+    assert wanted.minute == 390
+    smtp = {"smtp": {"host": host, "sender": "lineside@plant"}} if host else {}
+    notify = NotifySettings.model_validate(smtp)
+    unit = {"id": 1, "name": "Unwind"}
+    bus = BusSettings.model_validate({"name": "dry-end", "port": "/dev/null", "unit": [unit]})
+    if not fault:
+        refuse_unsendable([wanted], notify, [bus])
+        return
+    with pytest.raises(PydanticCustomError) as refused:
+        refuse_unsendable([wanted], notify, [bus])
+    assert fault in repr(refused.value.context)
