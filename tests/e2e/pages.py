@@ -5,6 +5,8 @@ from __future__ import annotations
 from playwright.sync_api import Page, expect
 
 LIVE = "body[data-link=live]"
+FITTED = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""The first frame after a window has changed fits the cells to it (js/line-fit.js)."""
 
 
 def opened(page: Page, path: str) -> Page:

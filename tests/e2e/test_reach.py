@@ -13,7 +13,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from app.main import FEATURES
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
-from tests.e2e.pages import NEEDS_MORE, NO_PAGES, PAGES, WALKED, opened
+from tests.e2e.pages import FITTED, NEEDS_MORE, NO_PAGES, PAGES, WALKED, opened
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.test_phone_length import PATHS
 from tests.sizes import sizes
@@ -70,6 +70,7 @@ def test_nothing_lies_over_what_can_be_pressed(shared_page: OpensPages, path: st
     page = opened(shared_page("admin", viewport={"width": 1280, "height": 600}), path)
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 600})
+        page.evaluate(FITTED)
         assert page.evaluate(COVERED) == [], width
 
 
@@ -96,6 +97,7 @@ def test_nothing_lies_over_the_rows_of_a_restore(site: Site, shared_page: OpensP
     expect(page.get_by_role("checkbox").first).to_be_visible()
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 600})
+        page.evaluate(FITTED)
         assert page.evaluate(COVERED) == [], width
 
 
@@ -201,7 +203,7 @@ def jams_as_shown(page: Page) -> list[str]:
     found = []
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
-        page.evaluate("() => new Promise(requestAnimationFrame)")
+        page.evaluate(FITTED)
         found += [f"{width} px: {jam}" for jam in page.evaluate(JAMS)]
     return found
 

@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import AXE_LOOKS, AXE_RULES, ENGLISH, GERMAN, OpensPages
-from tests.e2e.pages import opened
+from tests.e2e.pages import FITTED, opened
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.sizes import sizes
 
@@ -66,6 +66,7 @@ def judged(page: Page, axe: Axe) -> list[str]:
     for size, scheme, rules in ((WALL, "light", AXE_LOOKS), (PHONE, "dark", AXE_RULES)):
         page.set_viewport_size(size)  # type: ignore[arg-type]
         page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+        page.evaluate(FITTED)
         # A target that is half scrolled under the bar at the edge is not too small.
         page.evaluate("scrollTo(0, 0)")
         found += axe(page, only=rules)
@@ -231,9 +232,6 @@ COVERED = """() => [...document.querySelectorAll(".tile")].flatMap(tile => {
     .map(([other]) => `${tile.dataset.unit}: ${one.className}, ${other.className}`));
 })"""
 """Parts of a tile of which one is over another."""
-
-FITTED = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
-"""The first frame after a window has changed fits the cells to it (js/line-fit.js)."""
 
 
 @pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
