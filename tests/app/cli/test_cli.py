@@ -139,14 +139,18 @@ def test_help_reads_nothing_heavy() -> None:
     script = (
         "import sys; from app.cli import cli; cli(['--help'], standalone_mode=False); print(*sys.modules)"
     )
-    # The measurement of the coverage would load its store.
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE")}
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment
-    )
-    loaded = set(done.stdout.split())
-    assert "serve" in done.stdout
+    shown = unmeasured(script)
+    loaded = set(shown.split())
+    assert "serve" in shown
     assert not loaded & {"fastapi", "pydantic", "sqlite3", "httpx", "bus.simulator.plant", "app.main"}
+
+
+def unmeasured(code: str) -> str:
+    """Run code in a process of its own without the measurement of coverage, which would load modules, and
+    return what it prints."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE")}
+    run = [sys.executable, "-c", code]
+    return subprocess.run(run, capture_output=True, text=True, check=True, env=environment).stdout
 
 
 def test_workers_begin_before_the_dashboard_is_imported() -> None:
@@ -165,8 +169,7 @@ with suppress(SystemExit): main()
 from app.cli.hosting import _import_server; print(_import_server().__name__)
 from fastapi.openapi.models import Info; print(Info.__pydantic_complete__, Info(title="", version="").title)
 {PRINT_LOADED}"""
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    *_, server, complete, loaded = run.stdout.splitlines()
+    *_, server, complete, loaded = unmeasured(code).splitlines()
     assert (server, complete) == ("app.cli.server", "False ")
     unused = {
         "multiprocessing",
