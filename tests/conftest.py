@@ -172,8 +172,6 @@ def passwords_hashed_cheaply() -> Iterator[None]:
     that tests start hash as they do everywhere."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            app.people.auth.passwords,
-            "_hasher",
-            PasswordHasher(time_cost=1, memory_cost=8, parallelism=1),
+            app.people.auth.passwords, "_hasher", PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
         )
         yield

@@ -40,13 +40,7 @@ ENTRY_POINTS: dict[Program, tuple[str, str]] = {
     "bus": ("bus.__main__", str(ROOT / "bus" / "__main__.py")),
 }
 """Module that has ``main``, and the program's name in ``sys.argv``."""
-IMPORTED = (
-    "app.cli.hosting",
-    "app.cli.server",
-    "app.cli.wire",
-    "app.cli.accounts",
-    "bus.worker.service",
-)
+IMPORTED = ("app.cli.hosting", "app.cli.server", "app.cli.wire", "app.cli.accounts", "bus.worker.service")
 """Before the first fork. None of them starts a thread."""
 MAX_BYTES = 200_000
 """Of a request: mostly the environment."""

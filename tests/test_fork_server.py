@@ -9,21 +9,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from tests import fork_server
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("decode", "--json", "10021001811003"),
-        ("serve", "--config", "absent.toml"),
-    ],
-)
-def test_it_prints_and_returns_what_a_started_process_does(words: tuple[str, ...], tmp_path: Path) -> None:
+def test_it_prints_and_returns_what_a_started_process_does(tmp_path: Path) -> None:
+    words = ("serve", "--config", "absent.toml")
     environment = {**os.environ, "COLUMNS": "60"}
     begun = subprocess.run(
         [LINESIDE, *words], capture_output=True, text=True, cwd=tmp_path, env=environment, input=""
@@ -47,20 +39,6 @@ def test_it_gets_its_input_environment_folder_and_umask(tmp_path: Path) -> None:
     )
     assert worker.returncode == 2
     assert "absent.toml" in worker.stderr
-
-
-def test_it_is_signalled_and_waited_for() -> None:
-    process = fork_server.start("simulate", "--units", "1", stdout=subprocess.PIPE)
-    assert process.stdout is not None
-    with process.stdout as output:
-        assert output.readline()
-        with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(timeout=0)
-        assert process.poll() is None
-        process.kill()
-        assert process.wait() == process.poll() == -signal.SIGKILL
-    process.terminate()
-    assert not Path(f"/proc/{process.pid}").exists()
 
 
 def test_it_has_no_file_of_the_tests_or_of_another_process(tmp_path: Path) -> None:

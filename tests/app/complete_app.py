@@ -49,14 +49,7 @@ from app.settings import ServerSettings, Settings, Site, load
 from bus.contract import Hello, Snapshot, Welcome
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.administrator import BY
-from tests.app.fake_worker import (
-    BUS,
-    PlayedWorker,
-    bus_settings,
-    hello,
-    snapshot,
-    until,
-)
+from tests.app.fake_worker import BUS, PlayedWorker, bus_settings, hello, snapshot, until
 from tests.app.played_rights import PlayedRights
 
 UP_TO_COMMANDS = app.main.FEATURES[: app.main.FEATURES.index(commands.FEATURE) + 1]
@@ -73,9 +66,7 @@ def settings_in(folder: Path, **site: Any) -> Settings:
     units = (unwind, UnitSettings(id=2, name="Nip"))
     bus = BusSettings(name="dry-end", port="/dev/null", unit=units)
     return Settings(
-        site=Site(**{"name": "Mill 7", **site}),
-        server=ServerSettings(data=folder / "data"),
-        bus=(bus,),
+        site=Site(**{"name": "Mill 7", **site}), server=ServerSettings(data=folder / "data"), bus=(bus,)
     )
 
 

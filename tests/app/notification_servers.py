@@ -116,11 +116,7 @@ class PlayedMailServer:
 
     def _reply(self, word: str, line: str, offers_tls: bool) -> str:
         if word == "EHLO":
-            offers = [
-                "plant",
-                "AUTH PLAIN",
-                *(["STARTTLS"] if offers_tls else []),
-            ]
+            offers = ["plant", "AUTH PLAIN", *(["STARTTLS"] if offers_tls else [])]
             return "\r\n".join([*(f"250-{offer}" for offer in offers), "250 HELP"])
         if word == "RCPT":
             self.recipients.append(line.partition("<")[2].partition(">")[0])

@@ -162,7 +162,7 @@ def responding(live: LiveState, commanded: int = 1000, *, run: bool = False, rem
         live.buses["dry-end"].apply([UnitLink(unit=unit, at=1.0, link="online")])
         live.buses["dry-end"].apply(
             [Reading(unit, fresh(), commanded, commanded, 0, outputs, inputs)]
-            + [ParameterValue(unit=unit, number=number, at=1.0, raw=raw) for number, raw in needed.items()],
+            + [ParameterValue(unit=unit, number=number, at=1.0, raw=raw) for number, raw in needed.items()]
         )
 
 

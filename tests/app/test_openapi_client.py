@@ -11,19 +11,18 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from openapi_python_client import generate
-from openapi_python_client.config import Config, ConfigFile, MetaType
 
 from app.core.database import Database
-from app.core.web.api import openapi_document, with_published_names
+from app.core.web.api import openapi_document
 from app.main import create_app
 from bus.contract import UnitOutcome
 from tests.app.complete_app import House, served, settings_in
 from tests.app.fake_worker import PlayedWorker, responding
 from tests.for_each import for_each
 
+pytestmark = pytest.mark.soak
+"""To generate it takes longer than all calls; `test_openapi_document` has the responses of commands."""
 PACKAGE = "lineside_client"
-NAMES = Path(__file__).parent / "openapi_names.txt"
 BUS = "dry-end"
 
 
@@ -39,6 +38,10 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def package(document: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
     """The generated package, imported. It warns of nothing."""
+    # Half a second of every collection, for a test of `make soak`.
+    from openapi_python_client import generate
+    from openapi_python_client.config import Config, ConfigFile, MetaType
+
     folder = tmp_path_factory.mktemp("client")
     source = folder / "openapi.json"
     source.write_text(json.dumps(document), encoding="utf-8")
@@ -88,16 +91,6 @@ async def test_it_reads_the_line(client: Generated) -> None:
     assert isinstance(unit, client.models.Unit)
     assert (unit.id, unit.commanded_raw, unit.inputs.estop, len(unit.outputs)) == (1, 1000, False, 6)
     assert await client.call("line.get_unit", BUS, 1) == unit or unit.age_ms >= 0
-
-
-async def test_it_reads_parameters_and_events(client: Generated, worker: PlayedWorker) -> None:
-    worker.play = responding("verified", read_back=250)
-    parameters = await client.call("commands.get_parameters", BUS, 1)
-    assert len(parameters) == 40
-    assert parameters[1].raw == 20000
-    await client.set_speed(250)
-    page = await client.call("events.list_events", kind="command")
-    assert page.events[0].outcome == "verified"
 
 
 @for_each("outcome", ["verified", "acknowledged"])
@@ -161,16 +154,6 @@ async def test_members_that_are_never_sent(client: Generated, worker: PlayedWork
     assert worker.commands == []
 
 
-async def test_a_body_that_may_be_left_out(client: Generated, worker: PlayedWorker) -> None:
-    worker.play = responding("acknowledged")
-    for operation, path in (("execute_speed", (BUS, 1)), ("execute_all_speeds", (BUS,))):
-        result = await client.call(f"commands.{operation}", *path)
-        assert isinstance(result, client.models.CommandResult)
-    body = client.models.CommandRequest(timeout_s=5)
-    later = await client.call("commands.execute_speed", BUS, 1, body=body)
-    assert later.outcome == client.models.Outcome.ACKNOWLEDGED
-
-
 @for_each(("role", "status", "code"), [("", 401, "unauthorized"), ("viewer", 403, "forbidden")])
 async def test_who_may_not(package: ModuleType, site: House, role: str, status: int, code: str) -> None:
     generated = Generated(package, site, role)
@@ -198,112 +181,3 @@ def test_a_call_of_the_stream_returns(package: ModuleType, tmp_path: Path) -> No
     with served(tmp_path) as api, package.Client(base_url=api.url, headers=api.headers) as client:
         for options in ({"seconds": 1}, {}):
             assert "event: snapshot" in operation.sync(client=client, **options)
-
-
-# --- the document ------------------------------------------------------------------------------------
-
-
-def references(node: Any) -> Iterator[str]:
-    """Every ``$ref`` of a document."""
-    if isinstance(node, dict):
-        yield from (value for key, value in node.items() if key == "$ref" and isinstance(value, str))
-    for each in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
-        yield from references(each)
-
-
-def test_every_reference_leads_to_something(document: dict[str, Any]) -> None:
-    found = set(references(document))
-    assert {"#/components/headers/Retry-After", "#/components/schemas/Problem"} <= found
-    for reference in found:
-        node = document
-        for step in reference.removeprefix("#/").split("/"):
-            assert step in node, reference
-            node = node[step]
-
-
-def test_a_tried_request_does_not_state_an_old_time(document: dict[str, Any]) -> None:
-    """Tools send the example of a header along, and a write of long ago is refused."""
-    sent_at = [
-        parameter
-        for methods in document["paths"].values()
-        for operation in methods.values()
-        for parameter in operation.get("parameters", ())
-        if parameter["name"] == "Lineside-Sent-At"
-    ]
-    assert len(sent_at) > 40
-    assert all("example" not in str(parameter) for parameter in sent_at)
-
-
-def test_the_names_that_clients_are_written_against_stay(document: dict[str, Any]) -> None:
-    """A name may be added to the list; one that is taken away or changed breaks the programs of users."""
-    operations = [
-        f"{operation['operationId']} {method.upper()} {path}"
-        for path, methods in document["paths"].items()
-        for method, operation in methods.items()
-    ]
-    schemas = [f"schema {name}" for name in document["components"]["schemas"]]
-    assert sorted(operations) + sorted(schemas) == NAMES.read_text(encoding="utf-8").splitlines()
-
-
-def is_typed(schema: dict[str, Any]) -> bool:
-    """Whether a generated client has a type for it: anything at all and any object are none."""
-    match schema:
-        case {"$ref": _}:
-            return True
-        case {"type": "array", "items": items}:
-            return is_typed(items)
-        case {"type": "object"}:
-            values = schema.get("additionalProperties")
-            return "properties" in schema or (isinstance(values, dict) and is_typed(values))
-        case {"anyOf": choices}:
-            return all(is_typed(choice) for choice in choices)
-    return "type" in schema
-
-
-def test_every_operation_describes_its_responses(document: dict[str, Any]) -> None:
-    for path, methods in document["paths"].items():
-        for method, operation in methods.items():
-            where = f"{method} {path}"
-            assert operation["description"], where
-            responses = operation["responses"]
-            success = [reply for status, reply in responses.items() if status.startswith("2")]
-            assert len(success) == 1, where
-            for content in success[0].get("content", {}).values():
-                assert is_typed(content["schema"]), where
-            problems = {status for status in responses if not status.startswith("2")}
-            assert problems >= {"401", "403", "422", "503", "default"}, where
-            assert all("application/problem+json" in responses[status]["content"] for status in problems), (
-                where
-            )
-
-
-def test_every_parameter_is_described(document: dict[str, Any]) -> None:
-    undescribed = [
-        f"{path} {parameter['name']}"
-        for path, methods in document["paths"].items()
-        for operation in methods.values()
-        for parameter in operation.get("parameters", ())
-        if not parameter.get("description")
-    ]
-    assert undescribed == []
-
-
-def test_numbers_in_responses_have_their_unit_or_range(document: dict[str, Any]) -> None:
-    """An id, and what counts or speaks for itself, needs none."""
-    plain = {"id", "set", "version", "size_bytes", "count", "entries", "next", "status"}
-    undescribed = [
-        f"{name}.{field}"
-        for name, schema in document["components"]["schemas"].items()
-        if not name.endswith("Request")
-        for field, value in schema.get("properties", {}).items()
-        if "number" in json.dumps(value.get("anyOf", [value]))
-        or "integer" in json.dumps(value.get("anyOf", [value]))
-        if not value.get("description") and field not in plain
-    ]
-    assert undescribed == []
-
-
-def test_two_schemas_of_one_name_are_refused() -> None:
-    schemas: dict[str, Any] = {"SpeedShown": {}, "Speed": {}}
-    with pytest.raises(ValueError, match="one published name"):
-        with_published_names({"components": {"schemas": schemas}})

@@ -194,7 +194,7 @@ async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_de
 async def test_the_dry_run_explains_what_will_happen(scene: Scene) -> None:
     responding(scene.live, commanded=1000)
     scene.live.buses["dry-end"].apply(
-        [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()],
+        [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()]
     )
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 10100})
     effects = [in_english(step.effect) for step in scene.book.try_out(ANNA, recipe).steps]

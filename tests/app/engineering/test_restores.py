@@ -410,11 +410,7 @@ async def test_a_plan_shows_which_rows_are_selected_and_why_not(
     assert setpoint["reason"] == setpoint["warning"]
     assert setpoint["reason"]["detail"] == "Changes the machine's speed now"
     left = {row["number"]: (row["reason_code"], row["differs"]) for row in planned["left_out"]}
-    assert left == {
-        20: ("operating_value", True),
-        27: ("dangerous", True),
-        37: ("operating_value", True),
-    }
+    assert left == {20: ("operating_value", True), 27: ("dangerous", True), 37: ("operating_value", True)}
     chosen = await plan(client, golden, include=[20], exclude=[6], ticked=[27])
     assert selected(chosen) == {6: False, 7: True, 20: True, 27: True, 37: False}
 

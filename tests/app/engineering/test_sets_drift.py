@@ -178,9 +178,7 @@ async def test_a_command_for_another_parameter_or_before_the_golden_set_is_no_ca
     )
 
 
-async def test_the_last_write_of_the_operator_password_is_named_unseen(
-    scene: Scene,
-) -> None:
+async def test_the_last_write_of_the_operator_password_is_named_unseen(scene: Scene) -> None:
     scene.reads(21, 4711)
     assert (
         await scene.text()

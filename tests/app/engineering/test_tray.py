@@ -201,21 +201,9 @@ def words(row: TrayRow) -> tuple[str, str, str, str, str, str]:
         (SPEED_1, 1500, ("Unwind", "Setpoint", "100.0", "150.0", "m/min", "ramp of about 0.2 s")),
         (SPEED_1, 1000, ("Unwind", "Setpoint", "100.0", "100.0", "m/min", "no change")),
         (SPEED_2, 1500, ("Nip", "Setpoint", "100.0", "150.0", "", "ramp of about 0.2 s")),
-        (
-            OUTPUT,
-            1,
-            ("Unwind", "Output 3 (Fan)", "off", "on", "", REACTS),
-        ),
-        (
-            ValuePlace("output", 2, 3),
-            0,
-            ("Nip", "Output 3", "off", "off", "", REACTS),
-        ),
-        (
-            ANALOG,
-            7,
-            ("Nip", "Analog output", "5", "7", "", UNREAD),
-        ),
+        (OUTPUT, 1, ("Unwind", "Output 3 (Fan)", "off", "on", "", REACTS)),
+        (ValuePlace("output", 2, 3), 0, ("Nip", "Output 3", "off", "off", "", REACTS)),
+        (ANALOG, 7, ("Nip", "Analog output", "5", "7", "", UNREAD)),
         (
             RAMP,
             75,
@@ -241,11 +229,7 @@ def test_a_row_has_what_changes_from_which_value_to_which(
 
 def test_an_unknown_value_is_empty(bus: BusLive) -> None:
     object.__setattr__(bus.units[2], "reading", None)
-    unknown = {
-        ValuePlace("output", 2, 1): 1,
-        ValuePlace("analog", 1): 7,
-        ValuePlace("parameter", 2, 12): 30,
-    }
+    unknown = {ValuePlace("output", 2, 1): 1, ValuePlace("analog", 1): 7, ValuePlace("parameter", 2, 12): 30}
     for row in rows(bus, unknown):
         assert (row.was, row.old, row.was_text) == (None, "", "")
         assert row.reviewed.endswith(":")

@@ -22,10 +22,7 @@ READS = {"GET", "HEAD"}
 WITHOUT_AN_ACT = {
     ("POST", "/account/language"): "what a user sets for the own pages is no event",
     ("POST", "/trends/views"): "any user has own views; to share one is an act that the service checks",
-    (
-        "POST",
-        "/trends/views/{number}/delete",
-    ): "any user has own views; of shared ones the service checks it",
+    ("POST", "/trends/views/{number}/delete"): "any user has own views; of shared ones the service checks it",
     ("POST", "/api/v1/alarms/simulate"): "reads stored readings and changes nothing",
 }
 """Routes that change something and name neither an act nor a command, with the reason."""

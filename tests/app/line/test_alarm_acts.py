@@ -67,8 +67,7 @@ def body_of(act: AlarmAct) -> ActBody:
 
 
 @pytest.mark.parametrize(
-    ("act", "role"),
-    [(act, role) for act in ALARM_ACTS for role in EVERY_ROLE if not role.includes(act.role)],
+    ("act", "role"), [(act, role) for act in ALARM_ACTS for role in EVERY_ROLE if not role.includes(act.role)]
 )
 async def test_a_caller_without_a_route_needs_the_role_too(
     database: Database, act: AlarmAct, role: Role

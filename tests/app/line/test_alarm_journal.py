@@ -120,9 +120,7 @@ async def test_three_times_in_a_minute_chatters(journal: Journal) -> None:
 async def test_what_clears_before_a_person_could_act_is_fleeting(journal: Journal) -> None:
     for alarm, clears_at in (("fleeting", 10), ("lasting", 11)):
         journal.write(
-            alarm,
-            (0, "rise", "normal", "unack_active"),
-            (clears_at, "clear", "unack_active", "rtn_unack"),
+            alarm, (0, "rise", "normal", "unack_active"), (clears_at, "clear", "unack_active", "rtn_unack")
         )
     journal.rise("acknowledged", 0)
     assert (await measured(journal, 600))["fleeting"] == 1

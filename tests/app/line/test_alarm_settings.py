@@ -151,16 +151,8 @@ def test_an_alarm_of_a_bus_has_the_delay_that_is_set(database: Database) -> None
         (DEVIATION + "on_delay_s = -1\n", 9, "on_delay_s = -1"),
         (DEVIATION + "above_percent = 101\n", 9, "above_percent = 101"),
         (DEVIATION + 'deadband_percent = "5"\n', 8, "alarm deviation: deadband is wider than the limits"),
-        (
-            DEVIATION + "below_percent = 1\n",
-            9,
-            "alarm deviation has no below_percent; known here: ",
-        ),
-        (
-            DEVIATION,
-            8,
-            "alarm deviation: nothing is set; write one of above_percent, ",
-        ),
+        (DEVIATION + "below_percent = 1\n", 9, "alarm deviation has no below_percent; known here: "),
+        (DEVIATION, 8, "alarm deviation: nothing is set; write one of above_percent, "),
         (DEVIATION + "unit = 4\nabove_percent = 3\n", 9, "name the bus"),
         (DEVIATION + OF_UNIT.replace("4", "9") + "on_delay_s = 1\n", 10, "bus dry-end has no unit 9"),
         (DEVIATION + OF_UNIT.replace("dry", "wet") + "on_delay_s = 1\n", 9, "there is no bus wet-end"),

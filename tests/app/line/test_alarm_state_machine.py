@@ -9,14 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.line.alarms import rules
-from app.line.alarms.rules import (
-    AlarmAttributes,
-    AlarmFacts,
-    Changed,
-    NoTransitionError,
-    due_at,
-    shifted,
-)
+from app.line.alarms.rules import AlarmAttributes, AlarmFacts, Changed, NoTransitionError, due_at, shifted
 from bus.instants import UnixTime
 from tests.app.alarm_model import FOREVER, ModelAlarm
 

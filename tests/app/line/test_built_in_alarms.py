@@ -52,8 +52,7 @@ def model_of(code: str) -> ModelAlarm:
 
 
 @pytest.mark.parametrize(
-    ("code", "abnormal"),
-    [("deviation", {"actual": 1150}), ("analog_out_of_limits", {"analog": 255})],
+    ("code", "abnormal"), [("deviation", {"actual": 1150}), ("analog_out_of_limits", {"analog": 255})]
 )
 @pytest.mark.parametrize("seed", sizes(0, 1, 2, 3, 4))
 def test_a_random_history_of_readings_equals_the_model(

@@ -390,7 +390,7 @@ def unit(parameters: dict[int, int | None]) -> UnitLive:
         [
             ParameterValue(unit=1, number=number, at=1.0, raw=raw, available=raw is not None)
             for number, raw in parameters.items()
-        ],
+        ]
     )
     return live.buses["dry-end"].units[1]
 

@@ -282,10 +282,7 @@ async def test_a_line_action_returns_each_unit_and_its_frames_on_request(
         UnitOutcome(unit=2, outcome="unverified", message=term("no response")),
     ]
     frame = Frame(
-        at=time.time(),
-        direction="out",
-        data=b"\x10\x02\x00\x83\x10\x03\x7d",
-        meanings=[term("execute, all")],
+        at=time.time(), direction="out", data=b"\x10\x02\x00\x83\x10\x03\x7d", meanings=[term("execute, all")]
     )
     worker.play = responding("unverified", units=units, skew_s=0.02, frames=[frame])
     body = {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}}
@@ -418,12 +415,7 @@ async def test_a_requested_trace_delays_nothing_else(
 
 
 async def test_the_password_is_in_no_response_and_no_event(site: House, worker: PlayedWorker) -> None:
-    frame = Frame(
-        at=1.0,
-        direction="out",
-        data=b"\x00\x00\x10\x92",
-        meanings=[term("write #21 = 4242")],
-    )
+    frame = Frame(at=1.0, direction="out", data=b"\x00\x00\x10\x92", meanings=[term("write #21 = 4242")])
     worker.play = responding("verified", read_back=4242, frames=[frame])
     response = await site.request("PUT", "/units/1/parameters/21", {"raw": 4242})
     assert response.status_code == 200
@@ -497,12 +489,7 @@ async def test_the_trace_is_read_in_pieces_and_its_file_can_be_read_back(
 ) -> None:
     start = time.time() - 30
     frames = [
-        Frame(
-            at=start + n / 1000,
-            direction="out",
-            data=bytes([n % 256]),
-            meanings=[term("m")],
-        )
+        Frame(at=start + n / 1000, direction="out", data=bytes([n % 256]), meanings=[term("m")])
         for n in range(2500)
     ]
 

@@ -171,11 +171,7 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
         [(BUS._replace(lost=2),), (BUS._replace(lost=0),), (BUS._replace(units=1, lost=0),)],
         NEVER,
     ),
-    "history_degraded": (
-        [("paused",), ("failed",)],
-        [("ok",), ("low",), ("following",)],
-        NEVER,
-    ),
+    "history_degraded": ([("paused",), ("failed",)], [("ok",), ("low",), ("following",)], NEVER),
     "audit_degraded": ([(True,)], [(False,)], NEVER),
     "disk_low": ([("low",), ("scarce",), ("paused",)], [("ok",), ("failed",)], NEVER),
     "notification_failed": ([(True,)], [(False,)], NEVER),

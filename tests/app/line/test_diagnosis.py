@@ -175,7 +175,7 @@ def test_a_lost_port_is_the_cause_of_its_units_and_abnormal_once() -> None:
 def test_a_worker_that_does_not_respond_is_the_cause_of_its_units() -> None:
     live = after({})
     live.buses["dry"].apply(
-        [BusFigures(at=LATER + 10, scan_hz=5, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)],
+        [BusFigures(at=LATER + 10, scan_hz=5, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)]
     )
     assert named(live, LATER + 70)[1] == "Bus worker does not respond since 02:22"
     live.buses["dry"].lose_worker(LATER + 80)

@@ -24,8 +24,7 @@ def points(values: dict[int, int]) -> Points:
 
 
 @given(
-    st.dictionaries(st.integers(0, 10**9), st.integers(-50, 50), min_size=1, max_size=200),
-    st.integers(1, 50),
+    st.dictionaries(st.integers(0, 10**9), st.integers(-50, 50), min_size=1, max_size=200), st.integers(1, 50)
 )
 def test_nothing_is_cut_off(values: dict[int, int], most: int) -> None:
     thinned = downsample(points(values), 0, 10**9 + 1, most)

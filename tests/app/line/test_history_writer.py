@@ -142,15 +142,7 @@ RESERVE = DiskReserve(announce=1000, trim=500, pause=100)
 
 @pytest.mark.parametrize(
     ("free", "meaning"),
-    [
-        (5000, "ok"),
-        (1000, "ok"),
-        (999, "low"),
-        (500, "low"),
-        (499, "scarce"),
-        (99, "paused"),
-        (0, "paused"),
-    ],
+    [(5000, "ok"), (1000, "ok"), (999, "low"), (500, "low"), (499, "scarce"), (99, "paused"), (0, "paused")],
 )
 def test_less_free_space_means_a_stricter_state(free: int, meaning: StoreState) -> None:
     assert space(free, RESERVE) == meaning

@@ -386,7 +386,7 @@ async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
             BusFigures(
                 at=100.1, scan_hz=4, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3, units=units
             )
-        ],
+        ]
     )
     (diff,) = await sent(browser)
     assert diff["f"]["health/dry/2"]["responses"] == "5"

@@ -63,10 +63,7 @@ async def test_an_engineer_is_guided_and_others_are_not(tmp_path: Path, link: st
 PAGES = ["/", "/units/dry-end/1", "/units/dry-end/1/parameters", "/setpoints", "/bus/dry-end"]
 
 
-@pytest.mark.parametrize(
-    ("units", "view"),
-    [(0, "tiles"), (24, "tiles"), (25, "matrix"), (255, "matrix")],
-)
+@pytest.mark.parametrize(("units", "view"), [(0, "tiles"), (24, "tiles"), (25, "matrix"), (255, "matrix")])
 def test_the_view_follows_the_number_of_units(units: int, view: str) -> None:
     assert view_for(units) == view
 

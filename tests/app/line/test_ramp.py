@@ -54,7 +54,7 @@ def test_the_range_is_shown_with_the_change() -> None:
 def test_a_follower_s_setpoint_is_its_ratio() -> None:
     live = line()
     live.buses["dry"].apply(
-        [ParameterValue(unit=1, number=8, at=1, raw=1), ParameterValue(unit=1, number=37, at=1, raw=10250)],
+        [ParameterValue(unit=1, number=8, at=1, raw=1), ParameterValue(unit=1, number=37, at=1, raw=10250)]
     )
     bus = live.buses["dry"]
     assert present_setpoint(bus, bus.units[1]) == 10250

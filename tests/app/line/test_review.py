@@ -92,10 +92,7 @@ def test_the_numbers_are_params() -> None:
     bus = after(reading(at=96.4)).buses["dry"]
     obstacle = obstacle_of(bus, bus.units[1], NOW, block="{age}")
     assert obstacle == Message.of("obstacle_blocked", block="{age}")
-    assert [risk.params for risk in risks_of(bus, bus.units[1], NOW, Ramp(7, 0, 0.0))] == [
-        {"age": 4},
-        {},
-    ]
+    assert [risk.params for risk in risks_of(bus, bus.units[1], NOW, Ramp(7, 0, 0.0))] == [{"age": 4}, {}]
 
 
 def test_a_new_setpoint_discards_another_that_is_staged() -> None:
@@ -254,11 +251,7 @@ def test_what_changes_no_draw_is_not_stated(setpoints: dict[int, int]) -> None:
             "rejected by the unit: unit is not in REMOTE mode",
         ),
         (Result(id="1", at=0, outcome="unverified", read_back=1198), "unknown", "reads 1198 instead"),
-        (
-            Result(id="1", at=0, outcome="unverified"),
-            "unknown",
-            "no response: the result is not known",
-        ),
+        (Result(id="1", at=0, outcome="unverified"), "unknown", "no response: the result is not known"),
         (Result(id="1", at=0, outcome="not_sent"), "bad", ("not sent: the bus was busy until the deadline")),
         (Result(id="1", at=0, outcome="bus_closed"), "bad", "not sent: there is no link to the bus"),
         (Result(id="1", at=0, outcome="invalid", message=term("no")), "bad", "no"),

@@ -377,7 +377,7 @@ async def test_control_is_handed_over_released_and_taken_by_an_admin(controlled:
     ] is None
     events = (await controlled.http().get("/api/v1/events?kind=control")).json()["events"]
     assert [event["what"] for event in events] == [
-        *("control released", "control handed over", "control handed over", "control taken"),
+        *("control released", "control handed over", "control handed over", "control taken")
     ]
 
 

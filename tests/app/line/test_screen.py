@@ -139,7 +139,7 @@ def test_the_rate_of_a_bus_is_shown_in_every_place() -> None:
 def test_a_bus_s_figures_are_texts() -> None:
     live = line()
     live.buses["dry"].apply(
-        [BusFigures(at=100.0, scan_hz=4.8, scan_s=1.5, wire_utilisation=0.976, scan_s_with_one_more=1.6)],
+        [BusFigures(at=100.0, scan_hz=4.8, scan_s=1.5, wire_utilisation=0.976, scan_s_with_one_more=1.6)]
     )
     shown = bus_fields(live.buses["dry"], translator("de"), 100.5)
     assert (shown["scan"], shown["wire"], shown["stale_after"]) == ("1,50 s", "98 %", "3.00")
@@ -148,7 +148,7 @@ def test_a_bus_s_figures_are_texts() -> None:
 def test_without_a_response_there_is_no_scan_time() -> None:
     live = line()
     live.buses["dry"].apply(
-        [BusFigures(at=100.0, scan_hz=0.0, scan_s=0.0, wire_utilisation=0.3, scan_s_with_one_more=0.0)],
+        [BusFigures(at=100.0, scan_hz=0.0, scan_s=0.0, wire_utilisation=0.3, scan_s_with_one_more=0.0)]
     )
     shown = bus_fields(live.buses["dry"], translator(), 100.5)
     assert (shown["scan"], shown["wire"]) == ("–", "30 %")  # noqa: RUF001
@@ -211,11 +211,7 @@ def test_a_message_of_a_worker_is_no_format(tag: str, message: Message, meaning:
         ({"line": "anna", "wet": "anna"}, "anna, every bus", "anna, jeder Bus"),
         ({"line": "anna", "wet": "ben"}, "line: anna, wet: ben", "line: anna, wet: ben"),
         ({"line": "", "wet": "ben"}, "line: free, wet: ben", "line: frei, wet: ben"),
-        (
-            {"line": "", "wet": "ben", "dry": ""},
-            "wet: ben, the others: free",
-            "wet: ben, die anderen: frei",
-        ),
+        ({"line": "", "wet": "ben", "dry": ""}, "wet: ben, the others: free", "wet: ben, die anderen: frei"),
         ({"line": "a (token)", "wet": ""}, "line: a (token), wet: free", "line: a (token), wet: frei"),
     ],
 )
@@ -428,11 +424,7 @@ def test_a_bus_without_any_response_is_one_entry() -> None:
 @pytest.mark.parametrize(
     ("readings", "verdict", "german"),
     [
-        (
-            [{}, {}],
-            "Running 120.0 m/min · all 2 at speed",
-            "Läuft mit 120,0 m/min · alle 2 auf Sollwert",
-        ),
+        ([{}, {}], "Running 120.0 m/min · all 2 at speed", "Läuft mit 120,0 m/min · alle 2 auf Sollwert"),
         ([{"commanded": 0, "actual": 0}] * 2, "All 2 units at zero", "Alle 2 Regler auf null"),
         ([{}, {"outputs": 0x40, "actual": 900}], "1 of 2 ramping", "1 von 2 in Rampe"),
         (

@@ -73,7 +73,7 @@ def test_it_has_the_structure_of_asyncapi_3() -> None:
     assert document["asyncapi"] == "3.0.0"
     assert document["info"].keys() >= {"title", "version"}
     assert document.keys() <= {
-        *("asyncapi", "id", "info", "defaultContentType", "servers", "channels", "operations", "components"),
+        *("asyncapi", "id", "info", "defaultContentType", "servers", "channels", "operations", "components")
     }
     for reference in references(document):
         assert resolved(document, reference)

@@ -16,10 +16,7 @@ LINE = "2026-11-21T02:01:33.123456+00:00\tout\t10 02 04 81 10 03 7B\tunit 4: rea
 
 def test_a_line() -> None:
     frame = Frame(
-        1795226493.123456,
-        "out",
-        bytes.fromhex("10020481 10037B"),
-        [term("unit 4: read speed and status")],
+        1795226493.123456, "out", bytes.fromhex("10020481 10037B"), [term("unit 4: read speed and status")]
     )
     assert trace_line(frame) == LINE
     assert is_trace_line(LINE)

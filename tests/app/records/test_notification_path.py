@@ -170,9 +170,7 @@ async def test_nothing_is_notified_twice(path: Path_) -> None:
     assert await path.house.services[Notification].outbox.waiting() == {}
 
 
-async def test_the_places_that_an_earlier_version_stored_for_each_bus_are_one(
-    path: Path_,
-) -> None:
+async def test_the_places_that_an_earlier_version_stored_for_each_bus_are_one(path: Path_) -> None:
     await path.estop(active=True)
     await path.ended("delivered", 2)
     database, notifier = path.house.services[Database], path.house.services[AlarmNotifier]

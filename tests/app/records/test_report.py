@@ -185,8 +185,7 @@ def test_running_and_stops_fill_the_known_time(parts: list[tuple[int, int, bool]
 
 
 @given(
-    st.lists(st.tuples(st.integers(1, 100), st.integers(1, 50)), min_size=1, max_size=20),
-    st.floats(0.5, 2.0),
+    st.lists(st.tuples(st.integers(1, 100), st.integers(1, 50)), min_size=1, max_size=20), st.floats(0.5, 2.0)
 )
 def test_a_draw_is_of_the_web_that_passed_whatever_the_pieces(
     parts: list[tuple[int, int]], ratio: float

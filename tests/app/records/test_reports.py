@@ -133,10 +133,7 @@ async def test_the_stops_are_rows_of_csv_and_no_name_is_a_formula(house: House) 
     units = list(
         csv.DictReader((await client.get("/api/v1/report/units.csv", params=SPAN)).text.splitlines())
     )
-    assert [(row["at_speed_s"], row["draw_average"]) for row in units] == [
-        ("119.0", ""),
-        ("119.0", "1.0"),
-    ]
+    assert [(row["at_speed_s"], row["draw_average"]) for row in units] == [("119.0", ""), ("119.0", "1.0")]
 
 
 async def test_every_role_reads_a_report_and_no_one_else(house: House) -> None:
