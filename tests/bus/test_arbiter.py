@@ -68,17 +68,6 @@ def _write(unit: int) -> CommandRun:
     )
 
 
-def test_every_unit_keeps_its_own_turn() -> None:
-    line = Line(4)
-    polled = []
-    for _ in range(200):
-        turn = line.poll()
-        polled.append(turn.request.unit)
-        line.settle(turn, _response(turn.request))
-    counts = [polled.count(unit) for unit in range(1, 5)]
-    assert max(counts) - min(counts) <= 4
-
-
 def _foreseen(line: Line, times: int) -> Iterator[NextRequest]:
     turn = line.poll()
     for _ in range(times):
@@ -159,37 +148,3 @@ def test_a_limit_of_the_scan_holds_no_command_up() -> None:
     line.settle(turn, Ack(1))
     assert line.turns.next_request(line.time + 20.0) is None, "half a minute apart"
     assert min(at for at in line.turns.moments() if at > line.time + 20.0) < 131.0
-
-
-def test_a_command_goes_before_the_next_poll() -> None:
-    line = Line(3)
-    turn = line.poll()
-    run = _write(turn.request.unit)
-    line.turns.commands.add(run)
-    line.settle(turn, _response(turn.request))
-    write = line.next()
-    assert write == (SetAndExecuteSpeedRequest(turn.request.unit, 500), run)
-    line.settle(write, Ack(turn.request.unit))
-    assert run.result == ProcedureResult("acknowledged")
-
-
-def test_a_poll_without_a_response_is_tried_again_before_the_next() -> None:
-    line = Line(3)
-    turn = line.poll()
-    assert line.settle(turn, None), "it is tried again"
-    assert line.next() == turn
-    assert not line.settle(turn, _response(turn.request))
-    assert line.next() != turn
-
-
-def test_a_write_without_a_response_is_tried_again_too() -> None:
-    line = Line(2)
-    polled = line.poll()
-    run = _write(2)
-    line.turns.commands.add(run)
-    line.settle(polled, _response(polled.request))
-    write = NextRequest(SetAndExecuteSpeedRequest(2, 500), run)
-    assert line.next() == write
-    assert line.settle(write, None), "it is tried again"
-    assert line.next() == write
-    assert not line.settle(write, Ack(2)), "it has its response"

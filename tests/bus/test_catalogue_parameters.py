@@ -22,8 +22,8 @@ from bus.catalogue.parameters import (
 from bus.errors import CallerError
 from bus.messages import parameter_name
 from bus.settings import BAUDS
+from tests.for_each import for_each
 
-REPOSITORY = Path(__file__).parents[2]
 NAMES_IN_MANUAL = {
     "Maximum Motor Speed": "MAX_RPM",
     "Maximum Display Value": "MAX_DISPLAY",
@@ -96,11 +96,6 @@ def test_the_nearest_legal_value_is_the_smaller_of_two_equally_close(
     assert nearest_legal(parameter, raw) == nearest
 
 
-@pytest.mark.parametrize(("parameter", "raw"), [(RANGE, 1), (RANGE, 6000), (CHOICE, 12), (SECRET, 9999)])
-def test_a_legal_value_may_be_written(parameter: Parameter, raw: int) -> None:
-    check_writable_value(parameter, raw)
-
-
 def test_a_value_outside_its_range_is_refused_with_the_nearest() -> None:
     with pytest.raises(IllegalValue) as refused:
         check_writable_value(RANGE, 9999)
@@ -149,10 +144,10 @@ GROUPS = {
     "Link",
     "Operator",
 }
-every_row = pytest.mark.parametrize("row", PARAMETERS.values(), ids=lambda row: f"#{row.number}")
+every_row = for_each("row", PARAMETERS.values())
 
 
-@pytest.mark.parametrize("printed", PRINTED, ids=lambda printed: f"#{printed['number']}")
+@for_each("printed", PRINTED)
 def test_as_printed_in_section_4(printed: dict[str, Any]) -> None:
     row = PARAMETERS[printed["number"]]
     assert (row.name, row.type) == (printed["name"], printed["type"])
@@ -230,18 +225,3 @@ def test_both_ends_of_the_range_may_be_written(row: Parameter) -> None:
         return
     check_writable_value(row, row.minimum)
     check_writable_value(row, row.maximum)
-
-
-@pytest.mark.parametrize(
-    ("number", "raw", "nearest"),
-    [(3, 5, 4), (3, -1, 0), (15, 0, 1), (31, 80_000, 79_999), (18, 10, 12), (18, 200, 96), (18, 9, 6)],
-)
-def test_a_value_out_of_range_names_the_nearest(number: int, raw: int, nearest: int) -> None:
-    with pytest.raises(IllegalValue, match=f"nearest is {nearest}$") as refused:
-        check_writable_value(PARAMETERS[number], raw)
-    assert refused.value.nearest == nearest == nearest_legal(PARAMETERS[number], raw)
-
-
-def test_the_reason_lists_what_a_gapped_range_takes() -> None:
-    with pytest.raises(IllegalValue, match="it takes 3, 6, 12, 24, 48 or 96"):
-        check_writable_value(PARAMETERS[18], 5)

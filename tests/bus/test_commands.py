@@ -42,6 +42,7 @@ from bus.wire.commands import (
     usual_reply_bytes,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
+from tests.for_each import for_each
 
 BINARY, BCD = Dialect(), Dialect(parameter_numbers="bcd")
 
@@ -141,18 +142,12 @@ RESPONSES: dict[str, tuple[bytes, set[int]]] = {
 }
 
 
-@pytest.mark.parametrize("response", RESPONSES)
-@pytest.mark.parametrize("request_", one_of_each, ids=lambda request: f"{request.COMMAND:02X}h")
+@for_each("response", RESPONSES)
+@for_each("request_", one_of_each)
 def test_a_response_is_taken_only_by_commands_that_have_it(request_: Request, response: str) -> None:
     data, commands = RESPONSES[response]
     reply = parse_reply(request_, bytes((request_.unit,)) + data, BINARY)
     assert (reply is not None) == (request_.COMMAND in commands)
-
-
-@pytest.mark.parametrize("request_", one_of_each, ids=lambda request: f"{request.COMMAND:02X}h")
-def test_the_response_of_another_unit_is_never_taken(request_: Request) -> None:
-    for data, _ in RESPONSES.values():
-        assert parse_reply(request_, bytes((request_.unit + 1,)) + data, BINARY) is None
 
 
 def test_a_broadcast_has_no_response() -> None:
@@ -284,23 +279,6 @@ def test_what_has_the_password_is_secret() -> None:
 
 
 PLAIN, TWO_BYTES, DOUBLED = Dialect(), Dialect(parameter_reply_bytes=2), Dialect(checksum_10h="twice")
-
-
-@pytest.mark.parametrize(
-    ("request_", "lengths"),
-    [
-        (ReadStatusRequest(1), {11}),
-        (StageSpeedRequest(1, 5), {0}),
-        (ExecuteSpeedRequest(1), {0}),
-        (SetAndExecuteSpeedRequest(1, 5), {0}),
-        (ReadParameterRequest(1, 3), {1, 2, 4}),
-        (WriteParameterRequest(1, 3, 4), {0, 1, 2, 4}),
-        (WriteOutputRequest(1, 1, True), {0}),
-        (WriteAnalogOutputRequest(1, 3), {0}),
-    ],
-)
-def test_data_of_an_acknowledgement(request_: Request, lengths: set[int]) -> None:
-    assert acknowledged_lengths(request_, PLAIN) == lengths
 
 
 def test_a_dialect_may_fix_the_width_of_a_read_parameter_and_of_nothing_else() -> None:

@@ -32,6 +32,7 @@ from bus.wire.commands import (
     encode_request,
     is_write,
 )
+from tests.for_each import for_each
 
 Responder = Callable[[Probe], ProbeOutcome]
 NO_RESPONSE = ProbeOutcome()
@@ -205,7 +206,7 @@ def test_a_unit_that_responds_to_81h_only() -> None:
     assert one.checksum_10h is None
 
 
-@pytest.mark.parametrize("address", [address for address in range(1, 256) if address != 107])
+@for_each("address", [address for address in range(1, 256) if address != 107])
 def test_every_address_but_one_has_a_read_whose_checksum_is_10h(address: int) -> None:
     request = ReadParameterRequest(address, number_for_checksum_10h(address))
     assert encode_request(request, Dialect())[-1] == 0x10

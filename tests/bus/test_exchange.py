@@ -98,13 +98,6 @@ def test_a_first_byte_that_gathered_came_earlier_than_it_was_read() -> None:
     assert exchange.response_began(1.75, 0.01) == pytest.approx(1.75 - 18 * 0.01)
 
 
-def test_a_refusal_is_a_response() -> None:
-    exchange = Exchange(SetAndExecuteSpeedRequest(4, 99_999), PLAIN)
-    (event,) = exchange.receive(frame(Nak(4, 0x81)), 0.0)
-    assert isinstance(event, Responded)
-    assert event.reply == Nak(4, 0x81)
-
-
 def test_a_response_byte_by_byte_is_timed_by_its_first_byte() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     events = [
@@ -122,24 +115,11 @@ def test_the_response_of_another_unit_is_foreign() -> None:
     assert exchange.awaiting
 
 
-def test_another_hosts_request_is_foreign() -> None:
-    exchange = Exchange(ReadStatusRequest(4), PLAIN)
-    assert kinds(exchange.receive(encode_request(ReadStatusRequest(5), PLAIN), 0.0)) == [Foreign]
-
-
 @pytest.mark.parametrize("reply", [Ack(4), ParameterReply(4, 7, 1), Ack(4, b"\x00" * 10)], ids=str)
 def test_a_response_of_the_wrong_length_is_unexpected(reply: Reply) -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     assert kinds(exchange.receive(frame(reply), 0.0)) == [Unexpected]
     assert exchange.awaiting
-
-
-def test_an_echo_is_not_a_response_and_does_not_time_it() -> None:
-    exchange = Exchange(SetAndExecuteSpeedRequest(4, 5), PLAIN)
-    assert kinds(exchange.receive(exchange.sent, 1.0)) == [Echo]
-    assert exchange.first_byte_at is None
-    assert kinds(exchange.receive(frame(Ack(4)), 2.0)) == [Responded]
-    assert exchange.first_byte_at == 2.0
 
 
 @pytest.mark.parametrize("cut", [0, 1, 5, 8])

@@ -13,25 +13,18 @@ from bus.contract import (
     Action,
     BusLink,
     ChangeBaud,
-    ExecuteAll,
-    ExecuteSpeed,
     Reading,
     ReadParameters,
     Result,
-    ScanBus,
     SetLine,
     SetSpeed,
     UnitLink,
     Update,
     Watch,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
 )
 from bus.line.arbiter import RESERVED_S
 from bus.line.poll_schedule import LOOK_ELSEWHERE_S
-from bus.line.port import OpenPort, Receiver
-from bus.messages import Message, parameter_name
+from bus.messages import parameter_name
 from bus.simulator.line import FaultKind, WireEventKind
 from tests.bus.judge import made_up
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
@@ -159,13 +152,7 @@ def test_a_turn_kept_for_a_write_that_never_comes_costs_a_moment_and_the_units_n
     "action",
     [
         SetSpeed(3, 640),
-        SetSpeed(3, 640, execute=False),
-        ExecuteSpeed(3),
-        ExecuteAll(),
         SetLine({3: 640}),
-        WriteOutput(3, 1, True),
-        WriteAnalogOutput(3, 50),
-        WriteParameter(3, 6, 50),
         ReadParameters(3, [6]),
     ],
     ids=lambda action: type(action).__name__,
@@ -211,22 +198,6 @@ def test_endless_writes_do_not_starve_the_scan() -> None:
     run(scene, 4)
 
 
-def test_one_of_eight_dead_the_others_keep_their_rate() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        await asyncio.sleep(4)
-        well = len(line.readings(1))
-        await asyncio.sleep(20)
-        well = len(line.readings(1)) - well
-        line.faults.set(FaultKind.DEAD, 1.0, 5)
-        before = len(line.readings(1))
-        await asyncio.sleep(20)
-        assert len(line.readings(1)) - before >= 0.98 * well
-        assert unit_links(line, 5) == ["online", "stale", "offline"]
-
-    run(scene, 8)
-
-
 def test_a_unit_that_was_never_there_costs_little_and_is_called_offline() -> None:
     async def scene(line: VirtualLine) -> None:
         await asyncio.sleep(15)
@@ -234,24 +205,6 @@ def test_a_unit_that_was_never_there_costs_little_and_is_called_offline() -> Non
         assert line.worker.line.figures().wire_utilisation > 0.9
 
     run(scene, 3, configured=4)
-
-
-def test_watched_units_are_polled_more_often() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        line.worker.watch(Watch(units=[2]))
-        began = line.loop.time()
-        await asyncio.sleep(4)
-        counts = [polls(line, began).count(unit) for unit in line.units]
-        assert counts[1] > 32
-        assert min(counts) > 10
-        line.worker.watch(Watch(units=[]))
-        began = line.loop.time()
-        await asyncio.sleep(4)
-        counts = [polls(line, began).count(unit) for unit in line.units]
-        assert max(counts) - min(counts) <= 2
-
-    run(scene, 8)
 
 
 def test_a_pulled_cable_is_seen_within_a_second_and_found_within_three() -> None:
@@ -297,28 +250,6 @@ def test_a_line_that_is_switched_on_again_is_found_within_three_seconds_however_
         await line.until(lambda: all(unit_links(line, unit)[-1] == "online" for unit in line.units), 3.0)
 
     run(scene, 8, turnaround_ms=300)
-
-
-def test_a_port_that_opens_and_is_gone_at_once_is_not_hammered() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        opened = 0
-        open_port = line._open
-
-        async def and_gone(port: str, baud: int, receiver: Receiver) -> OpenPort:
-            nonlocal opened
-            opened += 1
-            there = await open_port(port, baud, receiver)
-            line.loop.call_later(0.001, receiver.connection_lost, Message("connection_closed"))
-            return there
-
-        line.worker._opener._open = and_gone
-        line.unplug()
-        line.plug()
-        await asyncio.sleep(10)
-        assert 3 <= opened < 8
-
-    run(scene, 2)
 
 
 def test_a_cable_pulled_during_the_first_request_costs_no_unit_its_polls() -> None:
@@ -371,7 +302,7 @@ def test_a_flood_that_never_frames_holds_nothing_up() -> None:
 
 @pytest.mark.parametrize(
     "kind",
-    [FaultKind.HUGE, FaultKind.ECHO, FaultKind.ALL_ADDRESSES, FaultKind.DOUBLED, FaultKind.FOREIGN],
+    [FaultKind.HUGE, FaultKind.ECHO, FaultKind.FOREIGN],
     ids=str,
 )
 def test_strange_lines_are_bounded_and_named_in_figures(kind: FaultKind) -> None:
@@ -387,31 +318,6 @@ def test_strange_lines_are_bounded_and_named_in_figures(kind: FaultKind) -> None
         assert figures.diagnosis
 
     run(scene, 3)
-
-
-def test_late_responses_are_never_taken_for_others() -> None:
-    async def scene(line: VirtualLine) -> None:
-        line.faults.set(FaultKind.LATE, 0.3)
-        for _ in range(3):
-            await line.perform(ReadParameters(1, list(range(1, 41))), within_s=120)
-        assert not made_up(line.updates, line.line.record, EPOCH)
-        for value in line.parameters():
-            assert value.raw == line.plant.unit(value.unit).memory[value.number]
-
-    run(scene, 2)
-
-
-def test_a_full_read_of_an_unwatched_bus_costs_hardly_more_than_its_frames() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await asyncio.sleep(8)
-        began = line.loop.time()
-        ids = [line.command(ReadParameters(unit, urgent=False)) for unit in line.units]
-        await line.until(lambda: all(line.result_of(each) for each in ids), within_s=200)
-        took = line.loop.time() - began
-        frames = [frame for each in ids for frame in _result_of(line, each).frames]
-        assert took <= 1.1 * sum(len(frame.data) * 10 / 9600 for frame in frames)
-
-    run(scene, 4)
 
 
 def test_a_full_read_while_watched_costs_the_scan_no_more_than_a_tenth() -> None:
@@ -474,33 +380,7 @@ def test_a_unit_that_stops_responding_ends_its_reading() -> None:
     run(scene, 2)
 
 
-def test_a_secret_is_read_but_its_frames_are_not_kept() -> None:
-    async def scene(line: VirtualLine) -> None:
-        line.plant.unit(1).memory[21] = 9876
-        await settled(line)
-        result = await line.perform(ReadParameters(1, [21]))
-        assert result.values[0].raw == 9876
-        assert result.values[0].frame == b""
-        assert all(frame.data == b"" for frame in result.frames if "secret" in frame.meaning)
-        assert any("secret" in frame.meaning for frame in result.frames)
-        kept = b"".join(passed.data for passed in line.worker.line.trace.since(0.0))
-        assert (9876).to_bytes(4, "big") not in kept, "a value without a 10h, which is doubled on the wire"
-
-    run(scene, 2)
-
-
 # --- scan and baud -------------------------------------------------------------------------------
-
-
-def test_a_scan_between_the_polls_finds_every_unit() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        result = await line.perform(ScanBus(1, 8), within_s=300)
-        assert result.outcome == "verified"
-        assert [(found.unit, found.kind) for found in result.found] == [(u, "digimax") for u in range(1, 6)]
-        assert all(len(line.readings(unit)) > 5 for unit in (1, 2, 3)), "the round went on"
-
-    run(scene, 5, configured=3)
 
 
 @pytest.mark.parametrize("at_once", [True, False], ids=["at once", "at power-up"])
@@ -624,20 +504,6 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
             3: "verified",
         }
         assert [unit.memory[numbers.BAUD_RATE] for unit in line.plant.units] == [96, 48, 96]
-
-    run(scene, 3)
-
-
-def test_a_nak_on_the_retry_of_a_unit_that_is_soon_back_leaves_nothing_behind() -> None:
-    async def scene(line: VirtualLine) -> None:
-        command = await _its_ack_lost_and_then_local(line, 2)
-        await line.until(lambda: line.worker.line.baud == 4800)
-        line.plant.unit(2).memory[numbers.CONTROL_MODE] = 1
-        await line.until(lambda: line.result_of(command))
-        result = _result_of(line, command)
-        assert result.outcome == "refused"
-        assert "every unit is back at 9600 baud" in str(result.message)
-        assert [unit.memory[numbers.BAUD_RATE] for unit in line.plant.units] == [96] * 3
 
     run(scene, 3)
 

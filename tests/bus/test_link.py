@@ -185,15 +185,6 @@ def test_pace_is_never_stuck(history: list[bool]) -> None:
         assert any(pace.believes(0.5 if early else 1.0, 1.0) for _ in range(3))
 
 
-async def test_a_broadcast_is_over_once_it_has_left(wires: Wires) -> None:
-    began = wires.time
-    wires.send(ExecuteSpeedRequest(0))
-    wires.pass_time(0.1)
-    result = wires.results[0]
-    assert result.reply is None
-    assert result.ended - began == pytest.approx(7 * BYTE_S)
-
-
 async def test_a_damaged_response_ends_the_wait_at_once(wires: Wires) -> None:
     wires.send(ReadStatusRequest(1))
     spoilt = bytearray(encode_reply(STATUS, PLAIN))
@@ -214,11 +205,6 @@ async def test_bytes_without_end_do_not_hold_the_window_open(wires: Wires) -> No
     assert wires.link.counts.noise_bytes > 0
 
 
-async def test_unrequested_bytes_are_counted(wires: Wires) -> None:
-    wires.link.data_received(b"hello")
-    assert wires.link.counts.noise_bytes == 5
-
-
 async def test_an_echo_is_counted_and_is_no_response(wires: Wires) -> None:
     wires.send(SetAndExecuteSpeedRequest(1, 640))
     wires.receive(wires.written[0])
@@ -226,14 +212,6 @@ async def test_an_echo_is_counted_and_is_no_response(wires: Wires) -> None:
     wires.receive(encode_reply(Ack(1), PLAIN))
     assert wires.results[0].reply == Ack(1)
     assert wires.link.counts.echoes == 1
-
-
-async def test_another_units_frame_is_counted_as_foreign(wires: Wires) -> None:
-    wires.send(ReadStatusRequest(1))
-    wires.pass_time(7 * BYTE_S)
-    wires.receive(encode_reply(StatusReply(7, 1, 1, 0, 0, 0), PLAIN))
-    assert not wires.results
-    assert wires.roster[1].statistics.counts.foreign == 1
 
 
 async def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.contract import BusFigures, Frame, Frames, Progress, Reading, Result, UnitLink, Update
-from bus.contract.session import ClockOffset
 from bus.worker.outbox import MAX_OTHERS, MAX_READINGS, Outbox
 
 
@@ -216,25 +215,3 @@ def test_whatever_happens_nothing_is_lost_doubled_or_out_of_order(steps: list[tu
 
 
 # --- the app's clock -----------------------------------------------------------------------------
-
-
-def test_the_least_delay_is_the_nearest_to_the_truth() -> None:
-    clock = ClockOffset()
-    for delay in (0.5, 0.02, 0.3):
-        clock.observe(1000.0, 1007.0 + delay)
-    assert clock.here(1000.0) == pytest.approx(1007.02)
-
-
-def test_without_a_word_of_the_app_its_clock_is_ours() -> None:
-    assert ClockOffset().here(1000.0) == 1000.0
-
-
-def test_a_clock_set_back_is_believed_after_a_while_and_set_forward_at_once() -> None:
-    clock = ClockOffset()
-    for second in range(5):
-        clock.observe(1000.0 + second, 1000.0 + second)
-    for second in range(5, 35):
-        clock.observe(990.0 + second, 1000.0 + second)
-    assert clock.here(990.0) == pytest.approx(1000.0)
-    clock.observe(1100.0, 1036.0)
-    assert clock.here(1100.0) == pytest.approx(1036.0)

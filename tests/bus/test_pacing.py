@@ -41,15 +41,6 @@ def test_a_clock_that_steps_back_costs_nothing() -> None:
     assert [bucket.take(at) for at in (0.0, 0.4, 0.5)] == [False, False, True]
 
 
-def test_an_amount_over_the_capacity_returns_the_time_to_wait() -> None:
-    bucket = Bucket(per_s=10.0, capacity=100.0)
-    assert bucket.pour(100.0, 0.0) == 0.0
-    assert bucket.pour(5.0, 0.0) == pytest.approx(0.5)
-    assert bucket.wait_s(0.0) == pytest.approx(0.6)
-    assert bucket.pour(0.0, 0.5) == 0.0
-    assert bucket.pour(100.0, 1e9) == 0.0, "what was not used does not add up"
-
-
 def test_removed_amounts_leave_room_up_to_the_capacity() -> None:
     bucket = Bucket(per_s=1.0, capacity=1)
     bucket.fill(0.0)
@@ -192,17 +183,6 @@ def test_a_bad_contact_is_never_waited_for_longer_than_a_second() -> None:
     play(line, 600.0)
     gaps = [later - earlier - 4.0 for earlier, later in zip(line.opened, line.opened[1:], strict=False)]
     assert max(gaps) <= MAX_USEFUL_PAUSE_S * (1 + JITTER) + 0.001 < 1.0
-
-
-def test_a_port_that_comes_and_goes_each_second_is_used_each_time_and_few_lines() -> None:
-    line = PlayedLoop(lambda _: 0.5, responses=1)
-    lines = play(line, DAY_S / 24)
-    assert len(line.opened) >= DAY_S / 24 / 2
-    assert len(lines) < 40
-
-
-def test_one_that_is_absent_is_one_line() -> None:
-    assert play(PlayedLoop(lambda _: None), DAY_S / 24) == ["port closed; retrying"]
 
 
 def test_a_server_that_accepts_and_ends_its_negotiation_is_left_in_peace_too() -> None:

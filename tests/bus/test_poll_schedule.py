@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from bus.catalogue.parameters import NEEDED_TO_SHOW, PARAMETERS
 from bus.line.poll_schedule import (
-    ALONE_STEP_S,
     JITTER,
     LOOK_ELSEWHERE_S,
     MIN_SHARE_OF_A_TURN,
@@ -88,12 +87,6 @@ def test_the_first_response_of_every_unit_comes_before_all_else() -> None:
     ]
 
 
-def test_eight_units_are_shown_right_within_three_seconds() -> None:
-    line = line_of(8).play(3.0)
-    read = {(task.unit, task.number) for _, task, _ in line.of(TaskKind.PARAMETER)}
-    assert read >= {(unit, number) for unit in range(1, 9) for number in NEEDED_TO_SHOW}
-
-
 def test_the_decimals_of_all_units_are_read_before_anything_else() -> None:
     line = line_of(4).play(1.0)
     assert [(task.unit, task.number) for _, task, _ in line.of(TaskKind.PARAMETER)][:4] == [
@@ -159,20 +152,6 @@ def test_a_unit_with_an_open_page_is_polled_at_once_and_steadily(opened: int) ->
     assert set(taken) == set(range(1, 256))
 
 
-def test_units_added_and_removed_take_no_other_turn() -> None:
-    turns = PollOrder(range(1, 41), POLL_S)
-    for unit in range(1, 41):
-        turns.join(unit)
-    taken = []
-    for turn in range(400):
-        turns.leave(40)
-        turns.join(40)
-        turns.watch(() if turn % 2 else {2})
-        taken += [turns.next_unit() for _ in range(3)]
-    counts = Counter(taken)
-    assert min(counts[unit] for unit in range(1, 40)) >= 10
-
-
 def test_one_watched_unit_of_eight_is_polled_at_most_ten_times_a_second() -> None:
     line = line_of(8)
     line.schedule.watch({3})
@@ -229,14 +208,6 @@ def test_the_others_keep_their_rate_while_one_is_dead() -> None:
         return sum(task.unit == 1 for _, task, _ in line.of(TaskKind.POLL, since=10.0))
 
     assert rate(ill) >= 0.98 * rate(well)
-
-
-def test_a_complete_line_that_comes_back_is_found_at_once() -> None:
-    line = line_of(32, dead=set(range(1, 33))).play(100.0)
-    line.dead.clear()
-    back = line.now
-    line.play(back + ALONE_STEP_S + 2.5)
-    assert len(line.schedule.poll_order) == 32
 
 
 def test_a_returned_unit_is_relearned() -> None:
@@ -302,10 +273,6 @@ def test_a_limit_holds_neither_the_first_responses_nor_parameters_nor_probes_up(
     assert 7 * 5 <= len(list(line.of(TaskKind.POLL))) <= 7 * 6 + 1
 
 
-def test_a_limit_above_what_the_wire_carries_changes_nothing() -> None:
-    assert line_of(8, dead={2}, least_scan_s=0.01).play(30.0).tasks == line_of(8, dead={2}).play(30.0).tasks
-
-
 def test_a_watched_unit_has_a_larger_part_of_what_the_limit_allows() -> None:
     line = line_of(8, least_scan_s=1.0)
     line.schedule.watch({4})
@@ -313,11 +280,6 @@ def test_a_watched_unit_has_a_larger_part_of_what_the_limit_allows() -> None:
     polls = Counter(task.unit for _, task, _ in line.of(TaskKind.POLL, since=30.0))
     assert polls[4] > 2 * polls[5] > 0
     assert polls.total() == pytest.approx(8 * 30, abs=2)
-
-
-def test_the_same_seed_gives_the_same_order() -> None:
-    first, second = (line_of(8, dead={2, 6}).play(60.0).tasks for _ in range(2))
-    assert first == second
 
 
 @given(st.lists(st.floats(0.001, 1.0), min_size=20, max_size=60), st.floats(0.05, 0.9))
@@ -362,14 +324,6 @@ def test_every_fourth_read_of_the_slow_scan_is_the_decimals_of_the_next_unit() -
         gaps.was_read(*wanted, available=True)
         taken.append(wanted)
     assert taken == [(1, 1), (1, 2), (1, 4), (1, 3), (1, 5), (1, 6), (1, 7), (2, 3)]
-
-
-def test_a_removed_unit_is_in_no_part_of_the_slow_scan() -> None:
-    gaps = ParameterQueue(range(1, 41), NEEDED_TO_SHOW)
-    gaps.was_read(1, 3, available=True)
-    gaps.was_read(1, 6, available=True)
-    gaps.forget(1)
-    assert gaps.next_background() is None
 
 
 def test_what_a_setpoint_needs_is_read_of_all_units_first() -> None:
@@ -418,18 +372,6 @@ def test_a_response_at_the_expected_rate_ends_the_search() -> None:
     assert rate.turn(100.0, 9600, responds=True) is None, "some have not been switched off and on yet"
     assert rate.turn(100.0, 4800, responds=True) is None
     assert rate.turn(200.0, 4800, responds=False) is None
-
-
-def test_nor_is_one_that_was_found_there_by_looking() -> None:
-    rate = at_4800()
-    assert rate.turn(LONG + 1, 4800, responds=True) is None
-    assert rate.turn(200.0, 4800, responds=False) is None
-
-
-def test_a_response_keeps_the_line_at_its_rate() -> None:
-    rate = expecting_4800()
-    assert rate.turn(LONG, 9600, responds=True) is None
-    assert rate.turn(LONG, 9600, responds=False) == 4800
 
 
 @pytest.mark.parametrize("present", [9600, 2400])

@@ -25,6 +25,7 @@ from bus.catalogue.values import (
     status_bits,
 )
 from bus.errors import CallerError
+from tests.for_each import for_each
 
 octets = st.integers(0, 255)
 
@@ -227,10 +228,8 @@ def test_presets_of_a_follower_are_ratios() -> None:
     assert parameter_raw(PARAMETERS[9], "1.05", None, follower=True) == 10_500
 
 
-@pytest.mark.parametrize(
-    "row", [row for row in PARAMETERS.values() if not row.secret], ids=lambda row: row.name
-)
-@pytest.mark.parametrize("decimals", [0, 1, 4])
+@for_each("row", [row for row in PARAMETERS.values() if not row.secret])
+@for_each("decimals", [0, 1, 4])
 def test_parameters_round_trip_at_both_ends(row: Parameter, decimals: int) -> None:
     for raw in (row.minimum, row.maximum):
         assert parameter_raw(row, parameter_text(row, raw, decimals), decimals) == raw
@@ -258,7 +257,7 @@ def test_a_speed_of_more_decimals_than_a_value_can_have_is_raw() -> None:
         speed_raw("5", 5)
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS.values(), ids=lambda each: f"#{each.number}")
+@for_each("parameter", PARAMETERS.values())
 def test_a_value_outside_of_the_printed_range_is_implausible(parameter: Parameter) -> None:
     number, ends = parameter.number, (parameter.minimum, parameter.maximum)
     assert [plausible_parameter(number, raw) for raw in ends] == list(ends)
