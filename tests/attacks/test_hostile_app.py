@@ -29,7 +29,7 @@ from bus.worker.uplink import MAX_MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
 from tests.attacks.hostile import GARBAGE, broken, encoded, of_type
 from tests.bus.fake_app import TOKEN
 from tests.bus.test_uplink import FakeReceiver
-from tests.bus.virtual_line import EPOCH, VirtualLine, run, run_virtually
+from tests.bus.virtual_line import EPOCH, VirtualLine, played, run, run_virtually
 
 MESSAGES = of_type(msgspec.inspect.type_info(AppMessage))
 
@@ -52,44 +52,38 @@ def test_no_message_of_the_app_breaks_the_worker(messages: list[bytes]) -> None:
     run(scene, 2)
 
 
-def test_more_commands_than_the_limit_are_not_taken() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await line.until(lambda: line.readings(1))
-        requested = [line.command(SetSpeed(1, 640), timeout_s=3600.0) for _ in range(MAX_COMMANDS + 50)]
-        ended = [result for each in requested if (result := line.result_of(each)) is not None]
-        assert len(ended) == 50
-        assert {(result.outcome, "too many commands" in str(result.message)) for result in ended} == {
-            ("not_sent", True)
-        }
-
-    run(scene, 2)
+@played(2)
+async def test_more_commands_than_the_limit_are_not_taken(line: VirtualLine) -> None:
+    await line.until(lambda: line.readings(1))
+    requested = [line.command(SetSpeed(1, 640), timeout_s=3600.0) for _ in range(MAX_COMMANDS + 50)]
+    ended = [result for each in requested if (result := line.result_of(each)) is not None]
+    assert len(ended) == 50
+    assert {(result.outcome, "too many commands" in str(result.message)) for result in ended} == {
+        ("not_sent", True)
+    }
 
 
-def test_the_memory_of_commands_is_bounded() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await line.until(lambda: line.readings(1))
-        for number in range(MAX_RESULTS + 100):
-            line.worker.command(Command(f"late-{number}", EPOCH, SetSpeed(1, 640)))
-        assert len(line.worker._results) == MAX_RESULTS
-        line.command(SetSpeed(1, 640), command_id="kept")
-        await line.until(lambda: line.result_of("kept"))
-        kept = line.worker._results["kept"]
-        assert kept is not None
-        assert kept.frames == []
-
-    run(scene, 2)
+@played(2)
+async def test_the_memory_of_commands_is_bounded(line: VirtualLine) -> None:
+    await line.until(lambda: line.readings(1))
+    for number in range(MAX_RESULTS + 100):
+        line.worker.command(Command(f"late-{number}", EPOCH, SetSpeed(1, 640)))
+    assert len(line.worker._results) == MAX_RESULTS
+    line.command(SetSpeed(1, 640), command_id="kept")
+    await line.until(lambda: line.result_of("kept"))
+    kept = line.worker._results["kept"]
+    assert kept is not None
+    assert kept.frames == []
 
 
-def test_the_trace_is_read_by_few_at_once_and_remembered_by_none() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await line.until(lambda: len(line.readings()) > 20)
-        requested = [line.command(ReadTrace(0.0, limit=100)) for _ in range(MAX_TRACES + 5)]
-        refused = [result for each in requested if (result := line.result_of(each)) is not None]
-        assert [result.outcome for result in refused] == ["not_sent"] * 5
-        await line.until(lambda: all(line.result_of(each) for each in requested))
-        assert not set(requested) & line.worker._results.keys()
-
-    run(scene, 2)
+@played(2)
+async def test_the_trace_is_read_by_few_at_once_and_remembered_by_none(line: VirtualLine) -> None:
+    await line.until(lambda: len(line.readings()) > 20)
+    requested = [line.command(ReadTrace(0.0, limit=100)) for _ in range(MAX_TRACES + 5)]
+    refused = [result for each in requested if (result := line.result_of(each)) is not None]
+    assert [result.outcome for result in refused] == ["not_sent"] * 5
+    await line.until(lambda: all(line.result_of(each) for each in requested))
+    assert not set(requested) & line.worker._results.keys()
 
 
 class Flood:

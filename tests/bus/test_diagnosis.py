@@ -14,7 +14,7 @@ from bus.line.arbiter import COMMANDS_AT_A_STRETCH_S
 from bus.line.diagnosis import CLEAR_AFTER_S, LATE_WITHIN_S, MAX_OUTSTANDING, SecondMaster
 from bus.settings import BAUDS, Dialect, wire_seconds
 from bus.wire.framing import encode_frame
-from tests.bus.virtual_line import VirtualLine, run
+from tests.bus.virtual_line import VirtualLine, played, run
 
 RESPONSE = bytes((2, 0x81, 0x06, *(0,) * 10))
 """Of unit 2, as far as the address goes."""
@@ -67,25 +67,23 @@ async def respond_to_another(line: VirtualLine) -> None:
         await asyncio.sleep(0.1)
 
 
-def test_writing_stops_within_two_seconds_but_for_a_stop_and_is_reported() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await line.until(lambda: all(line.readings(unit) for unit in line.units))
-        assert (await line.perform(SetSpeed(1, 640))).outcome == "verified"
-        await respond_to_another(line)
-        refused = await line.perform(SetSpeed(1, 650))
-        assert refused.outcome == "not_sent"
-        assert refused.message is not None
-        assert refused.message.code == "second_master_writes"
-        assert (await line.perform(SetLine({1: 0, 3: 5}))).outcome == "not_sent"
-        assert line.plant.unit(1).setpoint == 640
-        assert (await line.perform(SetSpeed(1, 0))).outcome == "verified", "a stop is written"
-        figures = [update for update in line.updates if isinstance(update, BusFigures)]
-        assert any(each.has_second_master for each in figures)
-        assert figures[-1].unrequested > 0
-        await asyncio.sleep(CLEAR_AFTER_S + 1.0)
-        assert (await line.perform(SetSpeed(1, 650))).outcome == "verified"
-
-    run(scene, 3)
+@played(3)
+async def test_writing_stops_within_two_seconds_but_for_a_stop_and_is_reported(line: VirtualLine) -> None:
+    await line.until(lambda: all(line.readings(unit) for unit in line.units))
+    assert (await line.perform(SetSpeed(1, 640))).outcome == "verified"
+    await respond_to_another(line)
+    refused = await line.perform(SetSpeed(1, 650))
+    assert refused.outcome == "not_sent"
+    assert refused.message is not None
+    assert refused.message.code == "second_master_writes"
+    assert (await line.perform(SetLine({1: 0, 3: 5}))).outcome == "not_sent"
+    assert line.plant.unit(1).setpoint == 640
+    assert (await line.perform(SetSpeed(1, 0))).outcome == "verified", "a stop is written"
+    figures = [update for update in line.updates if isinstance(update, BusFigures)]
+    assert any(each.has_second_master for each in figures)
+    assert figures[-1].unrequested > 0
+    await asyncio.sleep(CLEAR_AFTER_S + 1.0)
+    assert (await line.perform(SetSpeed(1, 650))).outcome == "verified"
 
 
 UNITS = 4
@@ -122,15 +120,12 @@ def test_a_command_has_its_turn_at_every_baud(baud: int, action: Action) -> None
     run(scene, UNITS, baud=baud)
 
 
-def test_polls_go_on_while_commands_wait() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await all_online(line, min(BAUDS))
-        seen = len(line.readings())
-        commands = [
-            line.command(ReadParameters(unit=unit, numbers=[2, 6, 7, 8]), timeout_s=60.0)
-            for unit in line.units
-        ]
-        await line.until(lambda: all(map(line.result_of, commands)))
-        assert len(line.readings()) - seen >= 4 * UNITS - 1
-
-    run(scene, UNITS, baud=min(BAUDS))
+@played(UNITS, baud=min(BAUDS))
+async def test_polls_go_on_while_commands_wait(line: VirtualLine) -> None:
+    await all_online(line, min(BAUDS))
+    seen = len(line.readings())
+    commands = [
+        line.command(ReadParameters(unit=unit, numbers=[2, 6, 7, 8]), timeout_s=60.0) for unit in line.units
+    ]
+    await line.until(lambda: all(map(line.result_of, commands)))
+    assert len(line.readings()) - seen >= 4 * UNITS - 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from math import inf
 from typing import cast
 
@@ -43,7 +44,7 @@ from bus.errors import CallerError
 from bus.settings import wire_seconds
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Wake
-from tests.bus.virtual_line import EPOCH, VirtualLine, run
+from tests.bus.virtual_line import EPOCH, VirtualLine, played, run
 from tests.path.independent_unit import Unit, cut_frame
 from tests.sizes import sizes
 
@@ -118,6 +119,9 @@ def play(scene: Callable[[VirtualLine, Keypads], object], units: int = UNITS) ->
         await cast("asyncio.Future[None]", scene(line, keypads))
 
     run(begin, units, configured=units, line=cast("SimulatedLine", keypads))
+
+
+at_keypads = partial(played, UNITS, play=play)
 
 
 def known(line: VirtualLine, unit: int, numbers: tuple[int, ...]) -> UnitScale:
@@ -286,218 +290,214 @@ async def result_of(
     return await line.perform(SetSpeed(1, converted(text, scale), execute), typed_with={1: scale})
 
 
-def test_ten_times_what_was_typed_is_refused_with_old_and_new() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        pressed = [Change(0, 1, DECIMALS, 0), Change(0, 1, MAX_DISPLAY, 2000)]
-        result = await result_of(line, keypads, "100.0", *pressed)
-        assert (result.outcome, result.unit_error) == ("refused", None)
-        assert "(parameter 2) was 20000 and is 2000 now" in str(result.message)
-        assert "(parameter 3) was 1 and is 0 now" in str(result.message)
-        assert keypads.units[0].commanded == 500
-        assert keypads.units[0].writes == []
-        # What was read is reported: the next one is converted with it, and executed as it is shown.
-        result = await result_of(line, keypads, "100")
-        assert (result.outcome, keypads.units[0].display(keypads.units[0].commanded)) == ("verified", "100")
-
-    play(scene)
-
-
-def test_a_scale_that_changes_between_the_write_and_its_read_back_leaves_it_unverified() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        unit = keypads.units[0]
-        scale = known(line, 1, SCALE)
-        command = line.command(SetSpeed(1, 1000), typed_with={1: scale})
-        await line.until(lambda: unit.commanded == 1000)
-        unit.values[DECIMALS] = 0
-        await line.until(lambda: line.result_of(command))
-        result = line.result_of(command)
-        assert result is not None
-        assert result.outcome == "unverified"
-        assert "another scale" in str(result.message)
-
-    play(scene)
+@at_keypads()
+async def test_ten_times_what_was_typed_is_refused_with_old_and_new(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    pressed = [Change(0, 1, DECIMALS, 0), Change(0, 1, MAX_DISPLAY, 2000)]
+    result = await result_of(line, keypads, "100.0", *pressed)
+    assert (result.outcome, result.unit_error) == ("refused", None)
+    assert "(parameter 2) was 20000 and is 2000 now" in str(result.message)
+    assert "(parameter 3) was 1 and is 0 now" in str(result.message)
+    assert keypads.units[0].commanded == 500
+    assert keypads.units[0].writes == []
+    # What was read is reported: the next one is converted with it, and executed as it is shown.
+    result = await result_of(line, keypads, "100")
+    assert (result.outcome, keypads.units[0].display(keypads.units[0].commanded)) == ("verified", "100")
 
 
-def test_a_group_stops_before_the_unit_whose_scale_is_another() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        scales = {unit: known(line, unit, SCALE) for unit in line.units}
-        keypads.units[2].values[DECIMALS] = 0
-        result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), typed_with=scales)
-        assert result.outcome == "refused"
-        assert [unit.commanded for unit in keypads.units] == [500] * UNITS
-        assert not any(command == 0x83 for unit in keypads.units for command, _, _ in unit.writes)
-        assert [unit.staged for unit in keypads.units] == [None] * UNITS, "all scales before any stage"
+@at_keypads()
+async def test_a_scale_that_changes_between_the_write_and_its_read_back_leaves_it_unverified(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    unit = keypads.units[0]
+    scale = known(line, 1, SCALE)
+    command = line.command(SetSpeed(1, 1000), typed_with={1: scale})
+    await line.until(lambda: unit.commanded == 1000)
+    unit.values[DECIMALS] = 0
+    await line.until(lambda: line.result_of(command))
+    result = line.result_of(command)
+    assert result is not None
+    assert result.outcome == "unverified"
+    assert "another scale" in str(result.message)
 
-    play(scene)
+
+@at_keypads()
+async def test_a_group_stops_before_the_unit_whose_scale_is_another(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    scales = {unit: known(line, unit, SCALE) for unit in line.units}
+    keypads.units[2].values[DECIMALS] = 0
+    result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), typed_with=scales)
+    assert result.outcome == "refused"
+    assert [unit.commanded for unit in keypads.units] == [500] * UNITS
+    assert not any(command == 0x83 for unit in keypads.units for command, _, _ in unit.writes)
+    assert [unit.staged for unit in keypads.units] == [None] * UNITS, "all scales before any stage"
 
 
-def test_a_typed_group_of_24_units_is_executed_within_the_two_seconds_of_a_command() -> None:
+@played(24, play=play)
+async def test_a_typed_group_of_24_units_is_executed_within_the_two_seconds_of_a_command(
+    line: VirtualLine,
+) -> None:
     """At 9600 baud; the line's clock is virtual."""
-
-    async def scene(line: VirtualLine, _keypads: Keypads) -> None:
-        scales = {unit: known(line, unit, SCALE) for unit in line.units}
-        result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), timeout_s=2.0, typed_with=scales)
-        assert (result.outcome, {unit.outcome for unit in result.units}) == ("verified", {"verified"})
-
-    play(scene, units=24)
+    scales = {unit: known(line, unit, SCALE) for unit in line.units}
+    result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), timeout_s=2.0, typed_with=scales)
+    assert (result.outcome, {unit.outcome for unit in result.units}) == ("verified", {"verified"})
 
 
-def test_what_was_given_raw_is_sent_before_any_scale_is_read() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        keypads.units[0].values[DECIMALS] = 0
-        result = await line.perform(SetSpeed(1, 900))
-        assert (result.outcome, result.read_back) == ("verified", 900)
-
-    play(scene)
+@at_keypads()
+async def test_what_was_given_raw_is_sent_before_any_scale_is_read(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    keypads.units[0].values[DECIMALS] = 0
+    result = await line.perform(SetSpeed(1, 900))
+    assert (result.outcome, result.read_back) == ("verified", 900)
 
 
 @pytest.mark.parametrize("mode", [0, 1], ids=["master", "follower"])
-def test_the_scale_of_a_raw_speed_costs_one_read_unless_the_status_shows_another_mode(mode: int) -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        keypads.units[0].values |= {FOLLOWER_MODE: mode, DECIMALS: 2}
-        deadline = EPOCH + line.loop.time() + 2.0
-        line.worker.command(Command("raw", deadline, SetSpeed(1, 900), {1: {FOLLOWER_MODE: 0, DECIMALS: 1}}))
-        await line.until(lambda: line.result_of("raw"))
-        result = line.result_of("raw")
-        assert result is not None
-        assert result.outcome == "verified"
-        assert known(line, 1, (FOLLOWER_MODE, DECIMALS)) == {FOLLOWER_MODE: mode, DECIMALS: 2}
-        sent = [frame.data[3] for frame in result.frames if frame.direction == "out"]
-        assert sent == [0x84, 0x85, 0x81] or mode
-
-    play(scene)
-
-
-def test_a_speed_that_was_staged_in_another_scale_is_not_executed() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        assert (await result_of(line, keypads, "70.0", execute=False)).outcome == "acknowledged"
-        keypads.units[0].values[DECIMALS] = 0
-        for action in (ExecuteSpeed(1), ExecuteAll()):
-            result = await line.perform(action)
-            assert (result.outcome, keypads.units[0].commanded) == ("refused", 500)
-
-    play(scene)
+@at_keypads()
+async def test_the_scale_of_a_raw_speed_costs_one_read_unless_the_status_shows_another_mode(
+    line: VirtualLine, keypads: Keypads, mode: int
+) -> None:
+    keypads.units[0].values |= {FOLLOWER_MODE: mode, DECIMALS: 2}
+    deadline = EPOCH + line.loop.time() + 2.0
+    line.worker.command(Command("raw", deadline, SetSpeed(1, 900), {1: {FOLLOWER_MODE: 0, DECIMALS: 1}}))
+    await line.until(lambda: line.result_of("raw"))
+    result = line.result_of("raw")
+    assert result is not None
+    assert result.outcome == "verified"
+    assert known(line, 1, (FOLLOWER_MODE, DECIMALS)) == {FOLLOWER_MODE: mode, DECIMALS: 2}
+    sent = [frame.data[3] for frame in result.frames if frame.direction == "out"]
+    assert sent == [0x84, 0x85, 0x81] or mode
 
 
-def test_the_analog_output_is_bounded_and_converted_as_the_unit_does_now() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        numbers = (ANALOG_OUT_SOURCE, ANALOG_OUT_LOW, ANALOG_OUT_HIGH)
-        await line.until(lambda: known(line, 1, numbers))
-        scale = {1: known(line, 1, numbers)}
-        assert (await line.perform(WriteAnalogOutput(1, 350), typed_with=scale)).outcome == "acknowledged"
-        keypads.units[0].values[ANALOG_OUT_HIGH] = 1000
-        assert (await line.perform(WriteAnalogOutput(1, 360), typed_with=scale)).outcome == "refused"
-        assert keypads.units[0].analog_out == 350
-
-    play(scene)
+@at_keypads()
+async def test_a_speed_that_was_staged_in_another_scale_is_not_executed(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    assert (await result_of(line, keypads, "70.0", execute=False)).outcome == "acknowledged"
+    keypads.units[0].values[DECIMALS] = 0
+    for action in (ExecuteSpeed(1), ExecuteAll()):
+        result = await line.perform(action)
+        assert (result.outcome, keypads.units[0].commanded) == ("refused", 500)
 
 
-def test_one_parameter_changed_at_the_keypad_has_the_scale_read_again_soon() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        await asyncio.sleep(10.0)
-        keypads.units[1].values |= {6: 77, DECIMALS: 3}
-        await line.until(lambda: known(line, 2, (6,)) == {6: 77}, within_s=300.0)
-        found_at = line.loop.time()
-        await line.until(lambda: known(line, 2, (DECIMALS,)) == {DECIMALS: 3}, within_s=300.0)
-        assert line.loop.time() - found_at < 3.0
-
-    play(scene)
-
-
-def test_what_a_unit_holds_staged_is_not_known_after_it_was_away_and_is_not_executed() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "acknowledged"
-        keypads.units[0].off = True
-        await line.until(lambda: line.worker.line.roster[1].link.link == "offline")
-        keypads.units[0].off, keypads.units[0].staged = False, 300
-        await line.until(lambda: line.worker.line.roster[1].link.link == "online")
-        reported = [update for update in line.updates if isinstance(update, Staged)]
-        assert reported[-1] == Staged(1, reported[-1].at, None, unknown=True)
-        assert reported[-1].at > EPOCH
-        for action in (ExecuteSpeed(1), ExecuteAll()):
-            result = await line.perform(action)
-            assert (result.outcome, keypads.units[0].commanded) == ("refused", 500)
-        result = await line.perform(SetLine({2: 600, 3: 600}))
-        assert (result.outcome, keypads.units[0].commanded) == ("verified", 500)
-        assert not line.worker.line.roster[1].staged_unknown, "its present speed was staged instead"
-
-    play(scene)
+@at_keypads()
+async def test_the_analog_output_is_bounded_and_converted_as_the_unit_does_now(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    numbers = (ANALOG_OUT_SOURCE, ANALOG_OUT_LOW, ANALOG_OUT_HIGH)
+    await line.until(lambda: known(line, 1, numbers))
+    scale = {1: known(line, 1, numbers)}
+    assert (await line.perform(WriteAnalogOutput(1, 350), typed_with=scale)).outcome == "acknowledged"
+    keypads.units[0].values[ANALOG_OUT_HIGH] = 1000
+    assert (await line.perform(WriteAnalogOutput(1, 360), typed_with=scale)).outcome == "refused"
+    assert keypads.units[0].analog_out == 350
 
 
-def test_what_an_earlier_worker_staged_is_not_known_and_moves_with_no_other() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        first, roster = keypads.units[0], line.worker.line.roster
-        first.staged = 300
-        line.worker.note_held([1, 99])
-        assert line.worker.snapshot(0).units[0].staged_unknown
-        for action in (ExecuteSpeed(1), ExecuteAll()):
-            assert ((await line.perform(action)).outcome, first.commanded) == ("refused", 500)
-        result = await line.perform(SetLine({2: 800, 3: 800}))
-        assert (result.outcome, first.commanded) == ("verified", 500)
-        line.worker.note_held([2])
-        assert not roster[1].staged_unknown, "its present speed was staged instead"
-        assert not roster[2].staged_unknown, "a later app does not know better"
-
-    play(scene)
+@at_keypads()
+async def test_one_parameter_changed_at_the_keypad_has_the_scale_read_again_soon(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    await asyncio.sleep(10.0)
+    keypads.units[1].values |= {6: 77, DECIMALS: 3}
+    await line.until(lambda: known(line, 2, (6,)) == {6: 77}, within_s=300.0)
+    found_at = line.loop.time()
+    await line.until(lambda: known(line, 2, (DECIMALS,)) == {DECIMALS: 3}, within_s=300.0)
+    assert line.loop.time() - found_at < 3.0
 
 
-def test_what_82h_left_in_a_unit_without_a_response_is_not_known_and_moves_with_no_other() -> None:
+@at_keypads()
+async def test_what_a_unit_holds_staged_is_not_known_after_it_was_away_and_is_not_executed(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "acknowledged"
+    keypads.units[0].off = True
+    await line.until(lambda: line.worker.line.roster[1].link.link == "offline")
+    keypads.units[0].off, keypads.units[0].staged = False, 300
+    await line.until(lambda: line.worker.line.roster[1].link.link == "online")
+    reported = [update for update in line.updates if isinstance(update, Staged)]
+    assert reported[-1] == Staged(1, reported[-1].at, None, unknown=True)
+    assert reported[-1].at > EPOCH
+    for action in (ExecuteSpeed(1), ExecuteAll()):
+        result = await line.perform(action)
+        assert (result.outcome, keypads.units[0].commanded) == ("refused", 500)
+    result = await line.perform(SetLine({2: 600, 3: 600}))
+    assert (result.outcome, keypads.units[0].commanded) == ("verified", 500)
+    assert not line.worker.line.roster[1].staged_unknown, "its present speed was staged instead"
+
+
+@at_keypads()
+async def test_what_an_earlier_worker_staged_is_not_known_and_moves_with_no_other(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    first, roster = keypads.units[0], line.worker.line.roster
+    first.staged = 300
+    line.worker.note_held([1, 99])
+    assert line.worker.snapshot(0).units[0].staged_unknown
+    for action in (ExecuteSpeed(1), ExecuteAll()):
+        assert ((await line.perform(action)).outcome, first.commanded) == ("refused", 500)
+    result = await line.perform(SetLine({2: 800, 3: 800}))
+    assert (result.outcome, first.commanded) == ("verified", 500)
+    line.worker.note_held([2])
+    assert not roster[1].staged_unknown, "its present speed was staged instead"
+    assert not roster[2].staged_unknown, "a later app does not know better"
+
+
+@at_keypads()
+async def test_what_82h_left_in_a_unit_without_a_response_is_not_known_and_moves_with_no_other(
+    line: VirtualLine, keypads: Keypads
+) -> None:
     """Never broadcast while a stage is unacknowledged (protocol, 5)."""
-
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        first = keypads.units[0]
-        assert (await line.perform(SetSpeed(1, 600, execute=False))).outcome == "acknowledged"
-        first.mute_on.add(0x82)
-        assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "unverified"
-        first.mute_on.clear()
-        assert first.staged == 700
-        assert line.worker.line.roster[1].staged_unknown
-        for action in (ExecuteSpeed(1), ExecuteAll()):
-            assert ((await line.perform(action)).outcome, first.commanded) == ("refused", 500)
-        result = await line.perform(SetLine({2: 800, 3: 800}))
-        assert (result.outcome, first.commanded) == ("verified", 500)
-
-    play(scene)
+    first = keypads.units[0]
+    assert (await line.perform(SetSpeed(1, 600, execute=False))).outcome == "acknowledged"
+    first.mute_on.add(0x82)
+    assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "unverified"
+    first.mute_on.clear()
+    assert first.staged == 700
+    assert line.worker.line.roster[1].staged_unknown
+    for action in (ExecuteSpeed(1), ExecuteAll()):
+        assert ((await line.perform(action)).outcome, first.commanded) == ("refused", 500)
+    result = await line.perform(SetLine({2: 800, 3: 800}))
+    assert (result.outcome, first.commanded) == ("verified", 500)
 
 
-def test_a_unit_that_is_away_does_not_keep_the_others_from_a_change_after_one_with_it_has_failed() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        keypads.units[0].off = True
-        await line.until(lambda: line.worker.line.roster[1].link.link == "offline")
-        assert (await line.perform(SetLine({1: 800, 2: 800}))).outcome == "unverified"
-        assert (await line.perform(SetLine({2: 800, 3: 800}))).outcome == "verified"
-
-    play(scene)
+@at_keypads()
+async def test_a_unit_that_is_away_does_not_keep_the_others_from_a_change_after_one_with_it_has_failed(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    keypads.units[0].off = True
+    await line.until(lambda: line.worker.line.roster[1].link.link == "offline")
+    assert (await line.perform(SetLine({1: 800, 2: 800}))).outcome == "unverified"
+    assert (await line.perform(SetLine({2: 800, 3: 800}))).outcome == "verified"
 
 
 @pytest.mark.parametrize("action", [SetSpeed(1, 700), ExecuteSpeed(1)])
-def test_a_unit_that_shows_the_speed_holds_none_staged_although_its_response_was_lost(
-    action: SetSpeed | ExecuteSpeed,
+@at_keypads()
+async def test_a_unit_that_shows_the_speed_holds_none_staged_although_its_response_was_lost(
+    line: VirtualLine, keypads: Keypads, action: SetSpeed | ExecuteSpeed
 ) -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "acknowledged"
-        keypads.units[0].mute_on |= {0x83, 0x84}
-        assert (await line.perform(action)).outcome == "verified"
-        assert line.worker.line.roster[1].staged is None
-
-    play(scene)
+    assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "acknowledged"
+    keypads.units[0].mute_on |= {0x83, 0x84}
+    assert (await line.perform(action)).outcome == "verified"
+    assert line.worker.line.roster[1].staged is None
 
 
-def test_a_unit_that_missed_the_broadcast_and_has_another_scale_now_is_not_executed_by_itself() -> None:
-    async def scene(line: VirtualLine, keypads: Keypads) -> None:
-        first = keypads.units[0]
-        respond = first.respond
+@at_keypads()
+async def test_a_unit_that_missed_the_broadcast_and_has_another_scale_now_is_not_executed_by_itself(
+    line: VirtualLine, keypads: Keypads
+) -> None:
+    first = keypads.units[0]
+    respond = first.respond
 
-        def misses_the_broadcast(body: bytes) -> bytes | None:
-            if body == bytes([0, 0x83]):
-                first.values[DECIMALS] = 0
-                return None
-            return respond(body)
+    def misses_the_broadcast(body: bytes) -> bytes | None:
+        if body == bytes([0, 0x83]):
+            first.values[DECIMALS] = 0
+            return None
+        return respond(body)
 
-        first.respond = misses_the_broadcast  # type: ignore[method-assign]
-        scales = {unit: known(line, unit, SCALE) for unit in line.units}
-        result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), typed_with=scales)
-        assert (result.outcome, first.commanded) == ("unverified", 500)
-        assert {part.outcome for part in result.units if part.unit != 1} == {"verified"}
-
-    play(scene)
+    first.respond = misses_the_broadcast  # type: ignore[method-assign]
+    scales = {unit: known(line, unit, SCALE) for unit in line.units}
+    result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), typed_with=scales)
+    assert (result.outcome, first.commanded) == ("unverified", 500)
+    assert {part.outcome for part in result.units if part.unit != 1} == {"verified"}

@@ -27,7 +27,7 @@ from bus.line.diagnosis import UnitSymptoms, diagnose, responds_for_all
 from bus.messages import Message
 from bus.simulator.line import FaultKind
 from tests import fork_server
-from tests.bus.virtual_line import EPOCH, VirtualLine, run
+from tests.bus.virtual_line import EPOCH, VirtualLine, played
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,167 +37,143 @@ async def settled(line: VirtualLine) -> None:
     await asyncio.sleep(1.2)
 
 
-def test_hello_identifies_the_worker() -> None:
-    async def scene(line: VirtualLine) -> None:
-        hello = line.worker.hello()
-        assert (hello.version, hello.bus, hello.port) == (CONTRACT_VERSION, "virtual", "/dev/virtual")
-        assert hello.worker != VirtualLine(line.loop, 1).worker.worker, "new at every start"
-
-    run(scene, 2)
+@played(2)
+async def test_hello_identifies_the_worker(line: VirtualLine) -> None:
+    hello = line.worker.hello()
+    assert (hello.version, hello.bus, hello.port) == (CONTRACT_VERSION, "virtual", "/dev/virtual")
+    assert hello.worker != VirtualLine(line.loop, 1).worker.worker, "new at every start"
 
 
-def test_a_snapshot_has_everything_that_is_known() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        await line.perform(SetSpeed(2, 333, execute=False))
-        await asyncio.sleep(1.0)
-        snapshot = line.worker.snapshot(17)
-        assert (snapshot.seq, snapshot.bus.link) == (17, "open")
-        assert [state.unit for state in snapshot.units] == [1, 2]
-        assert all(state.reading is not None and state.parameters for state in snapshot.units)
-        assert snapshot.units[1].staged == 333
-        assert snapshot.figures is not None
-        encode(snapshot)
-
-    run(scene, 2)
+@played(2)
+async def test_a_snapshot_has_everything_that_is_known(line: VirtualLine) -> None:
+    await settled(line)
+    await line.perform(SetSpeed(2, 333, execute=False))
+    await asyncio.sleep(1.0)
+    snapshot = line.worker.snapshot(17)
+    assert (snapshot.seq, snapshot.bus.link) == (17, "open")
+    assert [state.unit for state in snapshot.units] == [1, 2]
+    assert all(state.reading is not None and state.parameters for state in snapshot.units)
+    assert snapshot.units[1].staged == 333
+    assert snapshot.figures is not None
+    encode(snapshot)
 
 
-def test_an_id_is_carried_out_once_and_its_result_repeated() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        for _ in range(3):
-            line.command(SetSpeed(1, 640), command_id="same")
-        await asyncio.sleep(1.0)
-        assert len(line.acted()) == 1
-        line.command(SetSpeed(1, 999), command_id="same")
-        await asyncio.sleep(1.0)
-        results = [update for update in line.updates if isinstance(update, Result)]
-        assert len(results) == 2
-        assert results[0].frames
-        assert results[1] == replace(results[0], frames=[]), "its frames are reported once"
-        assert line.plant.unit(1).setpoint == 640
-
-    run(scene, 2)
+@played(2)
+async def test_an_id_is_carried_out_once_and_its_result_repeated(line: VirtualLine) -> None:
+    await settled(line)
+    for _ in range(3):
+        line.command(SetSpeed(1, 640), command_id="same")
+    await asyncio.sleep(1.0)
+    assert len(line.acted()) == 1
+    line.command(SetSpeed(1, 999), command_id="same")
+    await asyncio.sleep(1.0)
+    results = [update for update in line.updates if isinstance(update, Result)]
+    assert len(results) == 2
+    assert results[0].frames
+    assert results[1] == replace(results[0], frames=[]), "its frames are reported once"
+    assert line.plant.unit(1).setpoint == 640
 
 
-def test_a_command_that_comes_too_late_is_never_sent_but_a_read_is() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        result = await line.perform(SetSpeed(1, 640), timeout_s=-0.2)
-        assert result.outcome == "not_sent"
-        assert "0.2 s after" in str(result.message)
-        assert line.acted() == []
-        assert (await line.perform(ReadParameters(1, [6]), timeout_s=-0.2)).outcome == "verified"
-
-    run(scene, 2)
+@played(2)
+async def test_a_command_that_comes_too_late_is_never_sent_but_a_read_is(line: VirtualLine) -> None:
+    await settled(line)
+    result = await line.perform(SetSpeed(1, 640), timeout_s=-0.2)
+    assert result.outcome == "not_sent"
+    assert "0.2 s after" in str(result.message)
+    assert line.acted() == []
+    assert (await line.perform(ReadParameters(1, [6]), timeout_s=-0.2)).outcome == "verified"
 
 
-def test_the_apps_clock_decides_lateness() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        line.worker.app_clock.observe(EPOCH - 3600.0, EPOCH)
-        result = await line.perform(SetSpeed(1, 640), timeout_s=-3599.0)
-        assert result.outcome == "verified", "the app's clock is an hour slow: one second is left"
-
-    run(scene, 2)
+@played(2)
+async def test_the_apps_clock_decides_lateness(line: VirtualLine) -> None:
+    await settled(line)
+    line.worker.app_clock.observe(EPOCH - 3600.0, EPOCH)
+    result = await line.perform(SetSpeed(1, 640), timeout_s=-3599.0)
+    assert result.outcome == "verified", "the app's clock is an hour slow: one second is left"
 
 
-def test_a_value_no_frame_can_carry_is_invalid() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        for action in (SetSpeed(1, 100_000), SetSpeed(0, 5), SetSpeed(256, 5), ReadParameters(1, [0])):
-            assert (await line.perform(action)).outcome == "invalid"
-        assert line.acted() == []
-        seen = len(line.readings())
-        await asyncio.sleep(0.5)
-        assert len(line.readings()) > seen
-
-    run(scene, 2)
+@played(2)
+async def test_a_value_no_frame_can_carry_is_invalid(line: VirtualLine) -> None:
+    await settled(line)
+    for action in (SetSpeed(1, 100_000), SetSpeed(0, 5), SetSpeed(256, 5), ReadParameters(1, [0])):
+        assert (await line.perform(action)).outcome == "invalid"
+    assert line.acted() == []
+    seen = len(line.readings())
+    await asyncio.sleep(0.5)
+    assert len(line.readings()) > seen
 
 
-def test_progress_runs_from_waiting_to_proving() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        await line.perform(SetSpeed(1, 640))
-        stages = [update.stage for update in line.updates if isinstance(update, Progress)]
-        assert stages == ["waiting", "sent", "acknowledged", "proving"]
-
-    run(scene, 2)
+@played(2)
+async def test_progress_runs_from_waiting_to_proving(line: VirtualLine) -> None:
+    await settled(line)
+    await line.perform(SetSpeed(1, 640))
+    stages = [update.stage for update in line.updates if isinstance(update, Progress)]
+    assert stages == ["waiting", "sent", "acknowledged", "proving"]
 
 
-def test_figures_come_every_second_with_the_load_of_the_wire() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await asyncio.sleep(12.0)
-        figures = [update for update in line.updates if isinstance(update, BusFigures)]
-        assert len(figures) in (11, 12)
-        last = figures[-1]
-        assert last.wire_utilisation > 0.98
-        assert last.scan_hz == pytest.approx(38.4 / 4, rel=0.06)
-        assert last.scan_s == pytest.approx(1 / last.scan_hz)
-        assert last.scan_s_with_one_more == pytest.approx(last.scan_s * 5 / 4)
-        assert last.diagnosis == []
-        assert all(unit.responses > 50 and unit.response_s_median is not None for unit in last.units)
-
-    run(scene, 4)
+@played(4)
+async def test_figures_come_every_second_with_the_load_of_the_wire(line: VirtualLine) -> None:
+    await asyncio.sleep(12.0)
+    figures = [update for update in line.updates if isinstance(update, BusFigures)]
+    assert len(figures) in (11, 12)
+    last = figures[-1]
+    assert last.wire_utilisation > 0.98
+    assert last.scan_hz == pytest.approx(38.4 / 4, rel=0.06)
+    assert last.scan_s == pytest.approx(1 / last.scan_hz)
+    assert last.scan_s_with_one_more == pytest.approx(last.scan_s * 5 / 4)
+    assert last.diagnosis == []
+    assert all(unit.responses > 50 and unit.response_s_median is not None for unit in last.units)
 
 
-def test_figures_name_the_one_unit_that_does_not_respond() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        line.faults.set(FaultKind.DEAD, 1.0, 2)
-        await asyncio.sleep(5.0)
-        assert line.worker.line.figures().diagnosis == [Message.of("diagnosis_one_silent", unit=2)]
-
-    run(scene, 4)
+@played(4)
+async def test_figures_name_the_one_unit_that_does_not_respond(line: VirtualLine) -> None:
+    await settled(line)
+    line.faults.set(FaultKind.DEAD, 1.0, 2)
+    await asyncio.sleep(5.0)
+    assert line.worker.line.figures().diagnosis == [Message.of("diagnosis_one_silent", unit=2)]
 
 
-def test_frames_are_reported_only_while_followed() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        assert not [update for update in line.updates if isinstance(update, Frames)]
-        line.worker.watch(Watch(units=[], trace=True))
-        await asyncio.sleep(0.5)
-        line.worker.watch(Watch(units=[]))
-        frames = [frame for update in line.updates if isinstance(update, Frames) for frame in update.frames]
-        assert {frame.direction for frame in frames} == {"in", "out"}
-        count = len(line.updates)
-        await asyncio.sleep(0.5)
-        assert not [update for update in line.updates[count:] if isinstance(update, Frames)]
-
-    run(scene, 2)
+@played(2)
+async def test_frames_are_reported_only_while_followed(line: VirtualLine) -> None:
+    await settled(line)
+    assert not [update for update in line.updates if isinstance(update, Frames)]
+    line.worker.watch(Watch(units=[], trace=True))
+    await asyncio.sleep(0.5)
+    line.worker.watch(Watch(units=[]))
+    frames = [frame for update in line.updates if isinstance(update, Frames) for frame in update.frames]
+    assert {frame.direction for frame in frames} == {"in", "out"}
+    count = len(line.updates)
+    await asyncio.sleep(0.5)
+    assert not [update for update in line.updates[count:] if isinstance(update, Frames)]
 
 
-def test_the_trace_is_read_piece_by_piece_without_a_gap() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await asyncio.sleep(5.0)
-        frames, since = [], 0.0
-        while True:
-            result = await line.perform(ReadTrace(since=since, limit=100))
-            new = [frame for frame in result.frames if frame not in frames]
-            frames += new
-            if len(result.frames) < 100:
-                break
-            since = result.frames[-1].at
-        sent = [frame.data for frame in frames if frame.direction == "out"]
-        assert sent == [data for _, data in line.written][: len(sent)]
-        assert len(sent) > 100
-
-    run(scene, 2)
+@played(2)
+async def test_the_trace_is_read_piece_by_piece_without_a_gap(line: VirtualLine) -> None:
+    await asyncio.sleep(5.0)
+    frames, since = [], 0.0
+    while True:
+        result = await line.perform(ReadTrace(since=since, limit=100))
+        new = [frame for frame in result.frames if frame not in frames]
+        frames += new
+        if len(result.frames) < 100:
+            break
+        since = result.frames[-1].at
+    sent = [frame.data for frame in frames if frame.direction == "out"]
+    assert sent == [data for _, data in line.written][: len(sent)]
+    assert len(sent) > 100
 
 
-def test_on_leaving_it_takes_nothing_new_and_drops_waiting_commands() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        slow = line.command(ReadParameters(1, urgent=False))
-        began = line.loop.time()
-        await line.worker.finish()
-        assert line.loop.time() - began < 2.0
-        assert line.result_of(slow) is not None
-        result = await line.perform(SetSpeed(1, 640))
-        assert result.outcome == "not_sent"
-        assert "stopping" in str(result.message)
-
-    run(scene, 2)
+@played(2)
+async def test_on_leaving_it_takes_nothing_new_and_drops_waiting_commands(line: VirtualLine) -> None:
+    await settled(line)
+    slow = line.command(ReadParameters(1, urgent=False))
+    began = line.loop.time()
+    await line.worker.finish()
+    assert line.loop.time() - began < 2.0
+    assert line.result_of(slow) is not None
+    result = await line.perform(SetSpeed(1, 640))
+    assert result.outcome == "not_sent"
+    assert "stopping" in str(result.message)
 
 
 # --- diagnosis -----------------------------------------------------------------------------------
@@ -271,17 +247,14 @@ def test_a_unit_that_responds_to_every_address(units: list[UnitSymptoms], found:
     assert responds_for_all(units) == found
 
 
-def test_a_unit_that_responds_for_a_dead_one_is_found_by_its_parameter_17() -> None:
+@played(5)
+async def test_a_unit_that_responds_for_a_dead_one_is_found_by_its_parameter_17(line: VirtualLine) -> None:
     """No frame shows that: unit 3 returns the address of the request."""
-
-    async def scene(line: VirtualLine) -> None:
-        line.faults.set(FaultKind.DEAD, 1.0, 5)
-        line.faults.set(FaultKind.ALL_ADDRESSES, 1.0, 3)
-        cause = Message.of("diagnosis_other_name", units=[5], own=3)
-        await line.until(lambda: line.readings(5) and cause in line.worker.line.figures().diagnosis)
-        assert {value.raw for value in line.parameters() if (value.unit, value.number) == (5, 17)} == {3}
-
-    run(scene, 5)
+    line.faults.set(FaultKind.DEAD, 1.0, 5)
+    line.faults.set(FaultKind.ALL_ADDRESSES, 1.0, 3)
+    cause = Message.of("diagnosis_other_name", units=[5], own=3)
+    await line.until(lambda: line.readings(5) and cause in line.worker.line.figures().diagnosis)
+    assert {value.raw for value in line.parameters() if (value.unit, value.number) == (5, 17)} == {3}
 
 
 # --- the process ---------------------------------------------------------------------------------

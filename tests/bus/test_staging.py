@@ -10,7 +10,7 @@ from bus.catalogue import parameters as numbers
 from bus.contract import ExecuteAll, Progress, Result, SetLine, SetSpeed, Staged
 from bus.simulator.line import FaultKind, WireEventKind
 from bus.simulator.unit import Mode
-from tests.bus.virtual_line import VirtualLine, run
+from tests.bus.virtual_line import VirtualLine, played, run
 
 ALL = {1: 501, 2: 502, 3: 503, 4: 504}
 
@@ -41,194 +41,174 @@ async def settled(line: VirtualLine) -> None:
     await asyncio.sleep(1.5)
 
 
-def test_stage_all_one_broadcast_read_back_all() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        began = line.line.record.count
-        result = await line.perform(SetLine(ALL))
-        assert result.outcome == "verified"
-        assert setpoints(line) == [501, 502, 503, 504]
-        requests = [e.data for e in line.line.record.since(began, WireEventKind.RECEIVED)]
-        first = next(place for place, body in enumerate(requests) if body[1] == 0x82)
-        commands = [body[1] for body in requests[first : first + 12]]
-        assert commands == [0x82] * 4 + [0x83] * 4 + [0x81] * 4, "nothing between, and one 83h for all"
-        assert len(received(line, 0x83, began)) == 1
-        for unit in result.units:
-            assert unit.sent_at is not None
-            assert unit.acknowledged_at is not None
-            assert unit.proven_at is not None
-            assert unit.sent_at < unit.acknowledged_at < unit.proven_at
-        assert result.skew_s is not None
-        assert 0.026 < result.skew_s < 0.2
-
-    run(scene, 4)
+@played(4)
+async def test_stage_all_one_broadcast_read_back_all(line: VirtualLine) -> None:
+    await settled(line)
+    began = line.line.record.count
+    result = await line.perform(SetLine(ALL))
+    assert result.outcome == "verified"
+    assert setpoints(line) == [501, 502, 503, 504]
+    requests = [e.data for e in line.line.record.since(began, WireEventKind.RECEIVED)]
+    first = next(place for place, body in enumerate(requests) if body[1] == 0x82)
+    commands = [body[1] for body in requests[first : first + 12]]
+    assert commands == [0x82] * 4 + [0x83] * 4 + [0x81] * 4, "nothing between, and one 83h for all"
+    assert len(received(line, 0x83, began)) == 1
+    for unit in result.units:
+        assert unit.sent_at is not None
+        assert unit.acknowledged_at is not None
+        assert unit.proven_at is not None
+        assert unit.sent_at < unit.acknowledged_at < unit.proven_at
+    assert result.skew_s is not None
+    assert 0.026 < result.skew_s < 0.2
 
 
 @pytest.mark.parametrize("fault", ["local", "dead", "refuses"])
-def test_one_that_cannot_stops_it_before_the_broadcast(fault: str) -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        before = setpoints(line)
-        change = dict(ALL)
-        if fault == "local":
-            line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.LOCAL
-        elif fault == "dead":
-            line.faults.set(FaultKind.DEAD, 1.0, 3)
-        else:
-            change[3] = line.plant.unit(3).highest + 1
-        result = await line.perform(SetLine(change))
-        assert result.outcome == ("unverified" if fault == "dead" else "refused")
-        assert "unit 3" in str(result.message)
-        assert "no unit was changed" in str(result.message)
-        assert not received(line, 0x83)
-        assert setpoints(line) == before
-        line.faults.clear()
-        line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.REMOTE
-        result = await line.perform(ExecuteAll())
-        assert setpoints(line) == before, "a stray execute changes nothing"
-        assert line.worker.line.roster[1].staged is None
-
-    run(scene, 4)
+@played(4)
+async def test_one_that_cannot_stops_it_before_the_broadcast(line: VirtualLine, fault: str) -> None:
+    await settled(line)
+    before = setpoints(line)
+    change = dict(ALL)
+    if fault == "local":
+        line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.LOCAL
+    elif fault == "dead":
+        line.faults.set(FaultKind.DEAD, 1.0, 3)
+    else:
+        change[3] = line.plant.unit(3).highest + 1
+    result = await line.perform(SetLine(change))
+    assert result.outcome == ("unverified" if fault == "dead" else "refused")
+    assert "unit 3" in str(result.message)
+    assert "no unit was changed" in str(result.message)
+    assert not received(line, 0x83)
+    assert setpoints(line) == before
+    line.faults.clear()
+    line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.REMOTE
+    result = await line.perform(ExecuteAll())
+    assert setpoints(line) == before, "a stray execute changes nothing"
+    assert line.worker.line.roster[1].staged is None
 
 
-def test_staged_values_are_put_back_and_reported() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        change = {**ALL, 4: line.plant.unit(4).highest + 1}
-        result = await line.perform(SetLine(change))
-        assert by_unit(result) == {1: "not_sent", 2: "not_sent", 3: "not_sent", 4: "refused"}
-        assert "staged again" in str(result.units[0].message)
-        assert entered(line) == setpoints(line)
-        reported = [update.raw for update in line.updates if isinstance(update, Staged) and update.unit == 1]
-        assert (reported[0], reported[-1]) == (501, None)
-
-    run(scene, 4)
+@played(4)
+async def test_staged_values_are_put_back_and_reported(line: VirtualLine) -> None:
+    await settled(line)
+    change = {**ALL, 4: line.plant.unit(4).highest + 1}
+    result = await line.perform(SetLine(change))
+    assert by_unit(result) == {1: "not_sent", 2: "not_sent", 3: "not_sent", 4: "refused"}
+    assert "staged again" in str(result.units[0].message)
+    assert entered(line) == setpoints(line)
+    reported = [update.raw for update in line.updates if isinstance(update, Staged) and update.unit == 1]
+    assert (reported[0], reported[-1]) == (501, None)
 
 
-def test_a_unit_known_to_be_local_is_read_first_so_that_nothing_is_staged_in_vain() -> None:
-    async def scene(line: VirtualLine) -> None:
-        line.plant.unit(4).memory[numbers.CONTROL_MODE] = Mode.LOCAL
-        await settled(line)
-        result = await line.perform(SetLine(ALL))
-        assert result.outcome == "refused"
-        assert [body[0] for body in received(line, 0x82)] == [4]
-
-    run(scene, 4)
-
-
-def test_a_unit_without_a_response_that_may_hold_its_stage_is_named() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        line.faults.set(FaultKind.LOST, 1.0, 2)
-        result = await line.perform(SetLine(ALL))
-        assert result.outcome == "unverified"
-        assert "may still be staged in unit 2" in str(result.message)
-        assert not received(line, 0x83)
-
-    run(scene, 4)
+@played(4)
+async def test_a_unit_known_to_be_local_is_read_first_so_that_nothing_is_staged_in_vain(
+    line: VirtualLine,
+) -> None:
+    line.plant.unit(4).memory[numbers.CONTROL_MODE] = Mode.LOCAL
+    await settled(line)
+    result = await line.perform(SetLine(ALL))
+    assert result.outcome == "refused"
+    assert [body[0] for body in received(line, 0x82)] == [4]
 
 
-def test_a_unit_outside_the_change_keeps_its_staged_speed_and_does_not_move() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        old = line.plant.unit(4).setpoint
-        assert (await line.perform(SetSpeed(4, 777, execute=False))).outcome == "acknowledged"
-        result = await line.perform(SetLine({1: 501, 2: 502}))
-        assert result.outcome == "verified"
-        assert line.plant.unit(4).setpoint == old
-        assert line.plant.unit(4).entered == 777
-        assert line.worker.line.roster[4].staged == 777
-        result = await line.perform(ExecuteAll())
-        assert result.outcome == "verified"
-        assert line.plant.unit(4).setpoint == 777
-
-    run(scene, 4)
+@played(4)
+async def test_a_unit_without_a_response_that_may_hold_its_stage_is_named(line: VirtualLine) -> None:
+    await settled(line)
+    line.faults.set(FaultKind.LOST, 1.0, 2)
+    result = await line.perform(SetLine(ALL))
+    assert result.outcome == "unverified"
+    assert "may still be staged in unit 2" in str(result.message)
+    assert not received(line, 0x83)
 
 
-def test_a_value_staged_by_another_host_is_reported() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        line.plant.unit(4).entered = 321
-        result = await line.perform(SetLine({1: 501}))
-        assert result.outcome == "verified"
-        assert "unit 4" in str(result.message)
-        assert "321" in str(result.message)
-
-    run(scene, 4)
-
-
-def test_two_changes_at_once_are_never_mixed() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        ids = [line.command(SetLine(dict.fromkeys(range(1, 5), raw))) for raw in (300, 400)]
-        single = line.command(SetSpeed(2, 450))
-        await asyncio.sleep(2.0)
-        results = [line.result_of(each) for each in (*ids, single)]
-        assert [result and result.outcome for result in results] == ["verified"] * 3
-        staged = [int.from_bytes(body[2:], "big") for body in received(line, 0x82)]
-        assert staged == [300] * 4 + [400] * 4
-        assert setpoints(line) == [400, 450, 400, 400]
-
-    run(scene, 4)
+@played(4)
+async def test_a_unit_outside_the_change_keeps_its_staged_speed_and_does_not_move(line: VirtualLine) -> None:
+    await settled(line)
+    old = line.plant.unit(4).setpoint
+    assert (await line.perform(SetSpeed(4, 777, execute=False))).outcome == "acknowledged"
+    result = await line.perform(SetLine({1: 501, 2: 502}))
+    assert result.outcome == "verified"
+    assert line.plant.unit(4).setpoint == old
+    assert line.plant.unit(4).entered == 777
+    assert line.worker.line.roster[4].staged == 777
+    result = await line.perform(ExecuteAll())
+    assert result.outcome == "verified"
+    assert line.plant.unit(4).setpoint == 777
 
 
-def test_the_second_of_two_changes_is_refused_in_words_when_its_time_is_over() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        line.command(SetLine(dict.fromkeys(range(1, 5), 300)), timeout_s=2.0)
-        second = line.command(SetLine(dict.fromkeys(range(1, 5), 400)), timeout_s=0.1)
-        await asyncio.sleep(2.0)
-        result = line.result_of(second)
-        assert result is not None
-        assert result.outcome == "not_sent"
-        assert setpoints(line) == [300] * 4
-
-    run(scene, 4)
+@played(4)
+async def test_a_value_staged_by_another_host_is_reported(line: VirtualLine) -> None:
+    await settled(line)
+    line.plant.unit(4).entered = 321
+    result = await line.perform(SetLine({1: 501}))
+    assert result.outcome == "verified"
+    assert "unit 4" in str(result.message)
+    assert "321" in str(result.message)
 
 
-def test_no_time_for_the_stages_is_reported_before_anything_is_sent() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        result = await line.perform(SetLine(ALL), timeout_s=0.05)
-        assert result.outcome == "not_sent"
-        assert "takes" in str(result.message)
-        assert not received(line, 0x82)
+@played(4)
+async def test_two_changes_at_once_are_never_mixed(line: VirtualLine) -> None:
+    await settled(line)
+    ids = [line.command(SetLine(dict.fromkeys(range(1, 5), raw))) for raw in (300, 400)]
+    single = line.command(SetSpeed(2, 450))
+    await asyncio.sleep(2.0)
+    results = [line.result_of(each) for each in (*ids, single)]
+    assert [result and result.outcome for result in results] == ["verified"] * 3
+    staged = [int.from_bytes(body[2:], "big") for body in received(line, 0x82)]
+    assert staged == [300] * 4 + [400] * 4
+    assert setpoints(line) == [400, 450, 400, 400]
 
-    run(scene, 4)
+
+@played(4)
+async def test_the_second_of_two_changes_is_refused_in_words_when_its_time_is_over(line: VirtualLine) -> None:
+    await settled(line)
+    line.command(SetLine(dict.fromkeys(range(1, 5), 300)), timeout_s=2.0)
+    second = line.command(SetLine(dict.fromkeys(range(1, 5), 400)), timeout_s=0.1)
+    await asyncio.sleep(2.0)
+    result = line.result_of(second)
+    assert result is not None
+    assert result.outcome == "not_sent"
+    assert setpoints(line) == [300] * 4
+
+
+@played(4)
+async def test_no_time_for_the_stages_is_reported_before_anything_is_sent(line: VirtualLine) -> None:
+    await settled(line)
+    result = await line.perform(SetLine(ALL), timeout_s=0.05)
+    assert result.outcome == "not_sent"
+    assert "takes" in str(result.message)
+    assert not received(line, 0x82)
 
 
 @pytest.mark.parametrize("above", ["preset", "up", "down", "follower"])
-def test_a_unit_whose_own_setpoint_is_staged_holds_none_whatever_its_status_shows(above: str) -> None:
-    async def scene(line: VirtualLine) -> None:
-        unit = line.plant.unit(2)
-        if above == "follower":
-            unit.memory[numbers.FOLLOWER_MODE] = 1
-        else:
-            setattr(unit.inputs, above, True)
-        await settled(line)
-        number = numbers.RATIO_SETPOINT if above == "follower" else numbers.SPEED_SETPOINT
-        own = unit.memory[number]
-        assert (await line.perform(SetSpeed(2, own + 1, execute=False))).outcome == "acknowledged"
-        assert line.worker.line.roster[2].staged == own + 1
-        assert (await line.perform(SetSpeed(2, own, execute=False))).outcome == "acknowledged"
-        assert line.worker.line.roster[2].staged is None
+@played(4)
+async def test_a_unit_whose_own_setpoint_is_staged_holds_none_whatever_its_status_shows(
+    line: VirtualLine, above: str
+) -> None:
+    unit = line.plant.unit(2)
+    if above == "follower":
+        unit.memory[numbers.FOLLOWER_MODE] = 1
+    else:
+        setattr(unit.inputs, above, True)
+    await settled(line)
+    number = numbers.RATIO_SETPOINT if above == "follower" else numbers.SPEED_SETPOINT
+    own = unit.memory[number]
+    assert (await line.perform(SetSpeed(2, own + 1, execute=False))).outcome == "acknowledged"
+    assert line.worker.line.roster[2].staged == own + 1
+    assert (await line.perform(SetSpeed(2, own, execute=False))).outcome == "acknowledged"
+    assert line.worker.line.roster[2].staged is None
 
-    run(scene, 4)
 
-
-def test_a_change_whose_time_runs_out_is_withdrawn() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        before = setpoints(line)
-        line.faults.set(FaultKind.LOST, 1.0, 3)
-        result = await line.perform(SetLine(ALL), timeout_s=0.12)
-        assert result.outcome in ("not_sent", "unverified")
-        assert not received(line, 0x83)
-        line.faults.clear()
-        await line.perform(ExecuteAll())
-        assert [setpoints(line)[place] for place in (0, 1, 3)] == [before[place] for place in (0, 1, 3)]
-
-    run(scene, 4)
+@played(4)
+async def test_a_change_whose_time_runs_out_is_withdrawn(line: VirtualLine) -> None:
+    await settled(line)
+    before = setpoints(line)
+    line.faults.set(FaultKind.LOST, 1.0, 3)
+    result = await line.perform(SetLine(ALL), timeout_s=0.12)
+    assert result.outcome in ("not_sent", "unverified")
+    assert not received(line, 0x83)
+    line.faults.clear()
+    await line.perform(ExecuteAll())
+    assert [setpoints(line)[place] for place in (0, 1, 3)] == [before[place] for place in (0, 1, 3)]
 
 
 async def unit_2_misses_the_broadcast(line: VirtualLine, *, back: bool) -> Result:
@@ -246,95 +226,83 @@ async def unit_2_misses_the_broadcast(line: VirtualLine, *, back: bool) -> Resul
     return result
 
 
-def test_a_unit_that_missed_the_broadcast_gets_a_single_execute() -> None:
-    async def scene(line: VirtualLine) -> None:
-        result = await unit_2_misses_the_broadcast(line, back=True)
-        assert result.outcome == "verified"
-        assert "singly" in str(result.message)
-        assert setpoints(line)[1] == 502
-
-    run(scene, 4)
+@played(4)
+async def test_a_unit_that_missed_the_broadcast_gets_a_single_execute(line: VirtualLine) -> None:
+    result = await unit_2_misses_the_broadcast(line, back=True)
+    assert result.outcome == "verified"
+    assert "singly" in str(result.message)
+    assert setpoints(line)[1] == 502
 
 
-def test_a_unit_that_missed_the_broadcast_and_stops_responding_is_reported_as_maybe_staged() -> None:
-    async def scene(line: VirtualLine) -> None:
-        result = await unit_2_misses_the_broadcast(line, back=False)
-        assert result.outcome == "unverified"
-        assert entered(line)[1] == 502
-        assert "unit 2: it did not respond to the read-back; 502 may still be staged in it" in str(
-            result.message
-        )
-
-    run(scene, 4)
+@played(4)
+async def test_a_unit_that_missed_the_broadcast_and_stops_responding_is_reported_as_maybe_staged(
+    line: VirtualLine,
+) -> None:
+    result = await unit_2_misses_the_broadcast(line, back=False)
+    assert result.outcome == "unverified"
+    assert entered(line)[1] == 502
+    assert "unit 2: it did not respond to the read-back; 502 may still be staged in it" in str(result.message)
 
 
-def test_given_up_before_the_broadcast_it_is_withdrawn() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        before = setpoints(line)
-        command = line.command(SetLine(ALL))
-        await line.until(lambda: entered(line)[1] == 502)
-        line.worker.cancel(command)
-        await asyncio.sleep(1.0)
-        result = line.result_of(command)
-        assert result is not None
-        assert result.outcome == "not_sent"
-        assert setpoints(line) == before
-        assert entered(line) == before
-
-    run(scene, 4)
+@played(4)
+async def test_given_up_before_the_broadcast_it_is_withdrawn(line: VirtualLine) -> None:
+    await settled(line)
+    before = setpoints(line)
+    command = line.command(SetLine(ALL))
+    await line.until(lambda: entered(line)[1] == 502)
+    line.worker.cancel(command)
+    await asyncio.sleep(1.0)
+    result = line.result_of(command)
+    assert result is not None
+    assert result.outcome == "not_sent"
+    assert setpoints(line) == before
+    assert entered(line) == before
 
 
-def test_a_leaving_worker_finishes_or_withdraws_the_change() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        before = setpoints(line)
-        command = line.command(SetLine(ALL))
-        await line.until(lambda: entered(line)[0] == 501)
-        began = line.loop.time()
-        await line.worker.finish()
-        assert line.loop.time() - began < 2.0
-        assert line.result_of(command) is not None
-        assert setpoints(line) in (before, list(ALL.values()))
-        assert entered(line) == setpoints(line)
-
-    run(scene, 4)
+@played(4)
+async def test_a_leaving_worker_finishes_or_withdraws_the_change(line: VirtualLine) -> None:
+    await settled(line)
+    before = setpoints(line)
+    command = line.command(SetLine(ALL))
+    await line.until(lambda: entered(line)[0] == 501)
+    began = line.loop.time()
+    await line.worker.finish()
+    assert line.loop.time() - began < 2.0
+    assert line.result_of(command) is not None
+    assert setpoints(line) in (before, list(ALL.values()))
+    assert entered(line) == setpoints(line)
 
 
-def test_a_pulled_cable_in_the_middle_leaves_what_may_be_staged_in_words() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        before = setpoints(line)
-        command = line.command(SetLine(ALL))
-        await line.until(lambda: entered(line)[1] == 502)
-        line.unplug()
-        await asyncio.sleep(2.0)
-        result = line.result_of(command)
-        assert result is not None
-        assert result.outcome == "bus_closed"
-        assert "may still be staged in unit 1" in str(result.message)
-        line.plug()
-        await asyncio.sleep(3.0)
-        assert setpoints(line) == before, "nothing is sent late"
-        assert line.worker.line.roster[1].staged == 501, "and what is known stays shown"
-
-    run(scene, 4)
+@played(4)
+async def test_a_pulled_cable_in_the_middle_leaves_what_may_be_staged_in_words(line: VirtualLine) -> None:
+    await settled(line)
+    before = setpoints(line)
+    command = line.command(SetLine(ALL))
+    await line.until(lambda: entered(line)[1] == 502)
+    line.unplug()
+    await asyncio.sleep(2.0)
+    result = line.result_of(command)
+    assert result is not None
+    assert result.outcome == "bus_closed"
+    assert "may still be staged in unit 1" in str(result.message)
+    line.plug()
+    await asyncio.sleep(3.0)
+    assert setpoints(line) == before, "nothing is sent late"
+    assert line.worker.line.roster[1].staged == 501, "and what is known stays shown"
 
 
-def test_progress_counts_the_units() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        await line.perform(SetLine(ALL))
-        reported = [update for update in line.updates if isinstance(update, Progress)]
-        assert [update.stage for update in reported] == [
-            "waiting",
-            *["sent"] * 4,
-            "acknowledged",
-            *["proving"] * 4,
-        ]
-        assert [update.done for update in reported if update.stage == "proving"] == [0, 1, 2, 3]
-
-    run(scene, 4)
+@played(4)
+async def test_progress_counts_the_units(line: VirtualLine) -> None:
+    await settled(line)
+    await line.perform(SetLine(ALL))
+    reported = [update for update in line.updates if isinstance(update, Progress)]
+    assert [update.stage for update in reported] == [
+        "waiting",
+        *["sent"] * 4,
+        "acknowledged",
+        *["proving"] * 4,
+    ]
+    assert [update.done for update in reported if update.stage == "proving"] == [0, 1, 2, 3]
 
 
 def test_thirty_two_units_cost_hardly_more_than_their_frames() -> None:
@@ -362,38 +330,32 @@ def test_thirty_two_units_cost_hardly_more_than_their_frames() -> None:
 # --- execute all ---------------------------------------------------------------------------------
 
 
-def test_execute_all_verifies_staged_units_and_names_the_others() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        await line.perform(SetSpeed(1, 601, execute=False))
-        await line.perform(SetSpeed(2, 602, execute=False))
-        result = await line.perform(ExecuteAll())
-        assert result.outcome == "verified"
-        assert [unit.read_back for unit in result.units][:2] == [601, 602]
-        assert "nothing was staged from here" in str(result.units[2].message)
-        assert line.worker.line.roster[1].staged is None
-
-    run(scene, 4)
+@played(4)
+async def test_execute_all_verifies_staged_units_and_names_the_others(line: VirtualLine) -> None:
+    await settled(line)
+    await line.perform(SetSpeed(1, 601, execute=False))
+    await line.perform(SetSpeed(2, 602, execute=False))
+    result = await line.perform(ExecuteAll())
+    assert result.outcome == "verified"
+    assert [unit.read_back for unit in result.units][:2] == [601, 602]
+    assert "nothing was staged from here" in str(result.units[2].message)
+    assert line.worker.line.roster[1].staged is None
 
 
-def test_execute_all_with_a_unit_that_does_not_respond_is_unverified() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        await line.perform(SetSpeed(1, 601, execute=False))
-        line.faults.set(FaultKind.DEAD, 1.0, 3)
-        result = await line.perform(ExecuteAll())
-        assert result.outcome == "unverified"
-        assert by_unit(result) == {1: "verified", 2: "verified", 3: "unverified", 4: "verified"}
-
-    run(scene, 4)
+@played(4)
+async def test_execute_all_with_a_unit_that_does_not_respond_is_unverified(line: VirtualLine) -> None:
+    await settled(line)
+    await line.perform(SetSpeed(1, 601, execute=False))
+    line.faults.set(FaultKind.DEAD, 1.0, 3)
+    result = await line.perform(ExecuteAll())
+    assert result.outcome == "unverified"
+    assert by_unit(result) == {1: "verified", 2: "verified", 3: "unverified", 4: "verified"}
 
 
-def test_execute_all_reports_values_staged_by_another_host() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        line.plant.unit(4).entered = 321
-        result = await line.perform(ExecuteAll())
-        assert by_unit(result)[4] == "unverified"
-        assert "321" in str(result.message)
-
-    run(scene, 4)
+@played(4)
+async def test_execute_all_reports_values_staged_by_another_host(line: VirtualLine) -> None:
+    await settled(line)
+    line.plant.unit(4).entered = 321
+    result = await line.perform(ExecuteAll())
+    assert by_unit(result)[4] == "unverified"
+    assert "321" in str(result.message)

@@ -7,9 +7,11 @@ behind the worker's injected port and clock; an hour of line time takes seconds.
 from __future__ import annotations
 
 import asyncio
+import inspect
 import selectors
 from collections import defaultdict
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
+from functools import wraps
 from typing import Any, TypeVar
 
 from bus.contract import (
@@ -17,7 +19,6 @@ from bus.contract import (
     Command,
     ParameterValue,
     Reading,
-    ReadParameters,
     Result,
     UnitScale,
     Update,
@@ -309,10 +310,27 @@ def run(scene: Callable[[VirtualLine], Awaitable[T]], units: int = 8, **settings
     return run_virtually(play())
 
 
+def played(
+    units: int = 8, *, play: Callable[..., None] = run, **settings: Any
+) -> Callable[[Callable[..., Awaitable[None]]], Callable[..., None]]:
+    """Make a test of a scene, as ``run`` plays it. What else the scene takes are fixtures and parameters."""
+
+    def decorate(scene: Callable[..., Awaitable[None]]) -> Callable[..., None]:
+        signature = inspect.signature(scene)
+        given = [each for name, each in signature.parameters.items() if name not in ("line", "keypads")]
+        played_with = len(signature.parameters) - len(given)
+
+        @wraps(scene)
+        def test(**fixtures: Any) -> None:
+            play(lambda *line: scene(*line[:played_with], **fixtures), units, **settings)
+
+        test.__signature__ = signature.replace(parameters=given)  # type: ignore[attr-defined]
+        return test
+
+    return decorate
+
+
 def run_virtually(main: Coroutine[Any, Any, T]) -> T:
     """``asyncio.run`` in no time."""
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         return runner.run(main)
-
-
-__all__ = ["EPOCH", "ReadParameters", "VirtualClock", "VirtualLine", "VirtualLoop", "run", "run_virtually"]
