@@ -163,7 +163,7 @@ interface Place {
 interface HtmxRequest {
   readonly sourceElement: HTMLElement;
   readonly target: string | HTMLElement | null;
-  readonly request: { action: string; readonly method: string; readonly headers: Record<string, string>; readonly body: FormData };
+  readonly request: { action: string; readonly method: string; readonly headers: Record<string, string>; readonly body: FormData; readonly submitter?: HTMLElement | null };
 }
 
 // --- sound --------------------------------------------------------------------------------------------------

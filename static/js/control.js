@@ -5,8 +5,6 @@ const COVERED_MS = 500;
 /** What was pressed last outside of the review, to be pressed again.
  * @type {{ source: HTMLElement, submitter: HTMLElement | null } | null} */
 let pressed = null;
-/** @type {HTMLElement | null} */
-let submitter = null;
 let known = "";
 /** Control was pressed together with what needs it. */
 let goesOn = false;
@@ -46,10 +44,9 @@ const acts = (source) =>
   !source.closest("[data-review-place], [data-control-offer], [data-head-control]") && !source.hasAttribute("hx-trigger");
 
 export function start() {
-  document.addEventListener("submit", (event) => (submitter = event.submitter), { capture: true });
   document.addEventListener("htmx:before:request", (event) => {
-    const source = event.detail.ctx.sourceElement;
-    if (acts(source)) pressed = { source, submitter: source.matches("form") ? submitter : null };
+    const { request, sourceElement: source } = event.detail.ctx;
+    if (acts(source)) pressed = { source, submitter: request.submitter ?? null };
     // The button is another one once its response is there.
     if (!source.hasAttribute("hx-trigger")) goesOn = source.matches("[data-then-resume]");
   });

@@ -14,9 +14,13 @@ const PLACE = "[data-review-place]";
 let content = document.getElementById("review-body");
 /** @type {(() => void)[]} */
 let endings = [];
-/** The last thing clicked that only reads, before the first message of the server.
- * @type {HTMLElement | null} */
+/** What was pressed last before the first message of the server, and when.
+ * @type {{ source: HTMLElement, submitter: HTMLElement | null, at: number } | null} */
 let early = null;
+/** A press is not carried out later than so. */
+const EARLY_MS = 2000;
+/** How long ago what is being requested was pressed. */
+let agoMs = 0;
 
 /** @param {HTMLElement} place */
 function opened(place) {
@@ -204,12 +208,15 @@ function lost() {
   if (dialog.open) dialog.close();
 }
 
+/** Carry out what was pressed before the first message, as of the moment of the press. */
 function repeatEarly() {
-  const source = early;
+  const { source, submitter: by, at } = early ?? {};
   early = null;
-  if (!source?.isConnected) return;
-  if (source.matches("form")) source.requestSubmit();
+  if (!source?.isConnected || at === undefined || performance.now() - at > EARLY_MS) return;
+  agoMs = performance.now() - at;
+  if (source.matches("form")) /** @type {HTMLFormElement} */ (source).requestSubmit(by?.isConnected ? by : null);
   else source.click();
+  agoMs = 0;
 }
 
 /** A form that the browser sends: not while the server does not respond, and with the moment of the press,
@@ -267,14 +274,14 @@ export function start() {
   document.addEventListener("submit", submitted);
   document.addEventListener("htmx:config:request", (event) => {
     const { ctx } = event.detail;
-    ctx.request.headers["Lineside-Clicked-At"] = clock.now().toFixed(3);
+    ctx.request.headers["Lineside-Clicked-At"] = (clock.now() - agoMs / 1000).toFixed(3);
     if (ctx.sourceElement.matches("[data-once]")) ctx.request.body.set("id", newId());
   });
   document.addEventListener("htmx:before:request", (event) => {
     const { request, sourceElement: source } = event.detail.ctx;
-    // What only reads may come before the first message of the server; a click that reads is repeated then.
+    // A part of the page may come before the first message of the server; what was pressed is carried out then.
     if (!isLive() && !(request.method === "GET" && isAutomatic(source))) {
-      if (request.method === "GET" && document.body.dataset.link !== "lost") early = source;
+      if (document.body.dataset.link !== "lost") early = { source, submitter: request.submitter ?? null, at: performance.now() };
       return event.preventDefault();
     }
     if (!isAutomatic(source)) mark(source, true);

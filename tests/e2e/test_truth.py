@@ -118,20 +118,25 @@ def test_a_server_that_does_not_respond_disables_the_controls_and_the_page_recov
     assert received_writes(own_site) == before
 
 
-CLICKED_EARLY = """async () => {
-  document.body.dataset.link = "";
-  document.querySelector('[hx-get="/line/zero"]').click();
+CLICKED_EARLY = """async (pressed) => {
+  document.body.dataset.link = "connecting";
+  document.querySelector(pressed).click();
   await new Promise((resolve) => setTimeout(resolve, 300));
   document.body.dataset.link = "live";
   document.dispatchEvent(new Event("lineside:found"));
 }"""
 
 
-def test_a_click_that_reads_before_the_first_message_is_repeated_then(
+def test_a_press_before_the_first_message_is_carried_out_then(
     own_site: Site, shared_page: OpensPages
 ) -> None:
     page = opened(shared_page(site=own_site, viewport=PANEL), "/units/line/1")
-    page.evaluate(CLICKED_EARLY)
+    page.locator("#setpoint").fill("44.5")
+    page.evaluate(CLICKED_EARLY, ".setter__tray")
+    expect(page.locator("#setpoint-error [data-added]")).to_be_visible()
+    page.evaluate(CLICKED_EARLY, ".setter__stage")
+    expect(page.locator("#set-review [data-review-act]")).to_contain_text("Stage")
+    page.evaluate(CLICKED_EARLY, '[hx-get="/line/zero"]')
     expect(page.locator("#review")).to_be_visible()
 
 
