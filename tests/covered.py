@@ -29,10 +29,7 @@ TESTS = {
     "bus/wire/commands.py": ("tests/bus/test_commands.py",),
     "bus/wire/exchange.py": ("tests/bus/test_exchange.py", "tests/bus/test_exchange_fence.py"),
     "app/records/notification/rules.py": ("tests/app/records/test_notification_rules.py",),
-    "app/line/alarms/rules.py": (
-        "tests/app/line/test_alarm_state_machine.py",
-        "tests/app/line/test_alarm_detection.py",
-    ),
+    "app/line/alarms/rules.py": ("tests/app/line/test_alarm_rules.py",),
     "app/line/alarms/performance.py": ("tests/app/line/test_alarm_journal.py",),
     "app/line/conditions/catalogue.py": ("tests/app/line/test_condition_rows.py",),
     "app/line/conditions/condition.py": (

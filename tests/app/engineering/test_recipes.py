@@ -60,11 +60,10 @@ async def test_a_new_save_is_a_new_version_and_the_old_one_stays(scene: Scene) -
     ]
 
 
-@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
-async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: Role) -> None:
+async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene) -> None:
     responding(scene.live)
     await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200})
-    person = Person("ben", role, "session")
+    person = Person("ben", Role.OPERATOR, "session")
     with pytest.raises(Problem, match="role engineer"):
         await scene.book.save(person, "dry-end", "Kraft 80", "", {1: 1300})
     with pytest.raises(Problem, match="role engineer"):
@@ -103,12 +102,7 @@ async def test_the_dry_run_shows_old_new_and_the_time_of_the_ramp(scene: Scene) 
 
 @pytest.mark.parametrize(
     ("raw", "remote", "mode", "error"),
-    [
-        (20001, True, 0, "maximum"),
-        (95000, True, 0, "maximum"),
-        (100, False, 0, "not in REMOTE"),
-        (100, True, 1, "ratio"),
-    ],
+    [(20001, True, 0, "maximum"), (100, False, 0, "not in REMOTE"), (100, True, 1, "ratio")],
 )
 async def test_obstacles_are_reported_and_nothing_is_sent(
     scene: Scene, raw: int, remote: bool, mode: int, error: str

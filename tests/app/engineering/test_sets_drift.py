@@ -154,7 +154,7 @@ async def test_a_change_at_the_keypad_after_a_command_is_the_cause(scene: Scene)
     )
 
 
-@pytest.mark.parametrize("outcome", ["refused", "invalid", "not_sent"])
+@pytest.mark.parametrize("outcome", ["refused", "not_sent"])
 async def test_a_command_that_was_not_carried_out_changed_nothing(scene: Scene, outcome: str) -> None:
     await scene.sent("anna", 12, 21)
     await scene.sent("berta", 12, 99, outcome)
@@ -243,13 +243,10 @@ NAMES = {1: "Unwind", 2: "Infeed nip", 4: "Dryer 1", 5: "Dryer 2", 6: "Dryer 3",
     ("units", "text"),
     [
         ((), []),
-        ((1,), ["1 Unwind"]),
         ((1, 2), ["1-2 Unwind - Infeed nip"]),
         ((6, 4, 5), ["4-6 Dryer 1-3"]),
         ((1, 2, 4, 5, 9), ["1-2 Unwind - Infeed nip", "4-5 Dryer 1-2", "9 Rewind"]),
-        ((4, 5, 6, 7), ["4-7 Dryer 1 - Dryer 9"]),
         ((9, 200), ["9 Rewind", "200"]),
-        ((199, 200), ["199-200"]),
         (range(1, 10), ["1-9 Unwind - Rewind"]),
     ],
 )

@@ -1,4 +1,4 @@
-"""Saving sets: by hand, daily, before the first write of a day; golden sets and what drifts from them."""
+"""Saving sets, by hand, daily and before the first write of a day, and batch edits."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from pathlib import Path
 import pytest
 
 from app.core.web.access import Person, Role
+from app.engineering.sets.batch import BatchRow, refuse_moved, rows_of_batch, write_batch
+from app.engineering.sets.restore_plan import NO_RAMP
 from app.engineering.sets.saving import REPORT_AFTER, FirstWrites, SetReadings, SetSchedule, due_between
 from app.errors import ConstraintError, Problem, StoreError
+from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import UnitLink, UnitLinkState
+from bus.contract import ParameterValue, UnitLink, UnitLinkState
 from bus.messages import Message
-from tests.app.played_commands import ANNA, SetScene
+from tests.app.played_commands import ANNA, PlayedCommands, SetScene, a_bus, factory, responding
 from tests.app.screens import translator
 
 NOON = datetime(2026, 3, 4, 12, tzinfo=UTC)
@@ -155,12 +158,11 @@ def test_a_daily_minute_is_due_once_also_over_midnight() -> None:
     assert due_between(60, at(20, 0, 58), at(21, 1, 0)) == at(21, 1, 0), "the last of two"
 
 
-@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
-async def test_a_caller_without_a_route_needs_the_role_to_schedule(scene: Scene, role: Role) -> None:
+async def test_a_caller_without_a_route_needs_the_role_to_schedule(scene: Scene) -> None:
     await scene.schedule.set(ANNA, 125)
     for minute in (0, None):
         with pytest.raises(Problem, match="role engineer"):
-            await scene.schedule.set(Person("ben", role, "session"), minute)
+            await scene.schedule.set(Person("ben", Role.OPERATOR, "session"), minute)
     assert await scene.store.schedule() == {"dry-end": 125}
 
 
@@ -248,11 +250,10 @@ async def test_a_set_that_was_saved_and_not_marked_keeps_its_number(
     assert (taking.state, taking.set_id, str(taking.cause)) == ("failed", 1, "the disk is full")
 
 
-@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
-async def test_a_caller_without_a_route_needs_the_role_to_save(scene: Scene, role: Role) -> None:
+async def test_a_caller_without_a_route_needs_the_role_to_save(scene: Scene) -> None:
     kept, person, takings = (
         await scene.keeper.read_and_save(ANNA, [1]),
-        Person("ben", role, "session"),
+        Person("ben", Role.OPERATOR, "session"),
         SetReadings(),
     )
     read = len(scene.commands.sent)
@@ -290,3 +291,81 @@ async def test_drift_is_what_departs_from_the_golden_set(scene: Scene) -> None:
     assert (drift.differing(1), scene.drift_shown(1)) == ([], "")
     with pytest.raises(Problem):
         await scene.keeper.mark_golden(ANNA, kept, [2])
+
+
+def line(*, run: bool) -> LiveState:
+    live = a_bus()
+    responding(live, run=run)
+    return live
+
+
+def typed(live: LiveState, number: int, *values: str) -> list[BatchRow]:
+    return rows_of_batch(live.buses["dry-end"], number, dict(zip((1, 2), values, strict=True)))
+
+
+@pytest.mark.parametrize(
+    ("number", "run", "warned"),
+    [(20, False, True), (20, True, True), (6, True, True), (6, False, False), (12, True, False)],
+)
+def test_the_review_warns_where_the_machine_changes(number: int, run: bool, warned: bool) -> None:
+    assert [bool(row.warning) for row in typed(line(run=run), number, "3", "4")] == [warned, warned]
+
+
+def test_the_review_warns_of_a_ramp_of_nothing() -> None:
+    rows = typed(line(run=False), 7, "0.0", "0.1")
+    assert [row.warning for row in rows] == [NO_RAMP, None]
+
+
+def test_a_speed_or_ratio_is_not_converted_while_it_is_not_known_which_it_is() -> None:
+    """A follower's ratio of 1.5, taken for a speed, would be a ratio of 0.0015."""
+    live = line(run=False)
+    unit = live.buses["dry-end"].units[1]
+    assert [row.wanted for row in typed(live, 9, "1.5", "")] == [15, None]
+    del unit.parameters[8]
+    [row, _] = typed(live, 9, "1.5", "")
+    assert (row.wanted, row.fault) == (None, Message.of("unit_mode_unknown", unit=1))
+
+
+def test_a_value_that_moved_since_the_review_is_not_written() -> None:
+    live = line(run=False)
+    reviewed = {row.unit: row.reviewed for row in typed(live, 6, "20", "")}
+    refuse_moved(typed(live, 6, "20", ""), reviewed)
+    live.buses["dry-end"].apply([ParameterValue(unit=2, number=6, at=2.0, raw=101)])
+    refuse_moved(typed(live, 6, "20", ""), reviewed)
+    live.buses["dry-end"].apply([ParameterValue(unit=1, number=6, at=2.0, raw=101)])
+    refuse_moved(typed(live, 6, "20", ""), {})
+    with pytest.raises(Problem, match="Unwind: the value has changed") as refused:
+        refuse_moved(typed(live, 6, "20", ""), reviewed)
+    assert (refused.value.status, refused.value.code) == (409, "moved")
+
+
+def test_the_review_of_a_secret_holds_nothing_of_it() -> None:
+    live = line(run=False)
+    live.buses["dry-end"].apply([ParameterValue(unit=1, number=21, at=2.0, raw=4711)])
+    [row, _] = typed(live, 21, "12", "")
+    assert (row.reviewed, row.changes) == ("", True)
+    refuse_moved([row], {1: row.reviewed})
+
+
+@pytest.mark.parametrize(
+    ("code", "outcomes"),
+    [
+        ("rights_withdrawn", ["rights_withdrawn", "not_sent"]),
+        ("controlled", ["controlled", "not_sent"]),
+        ("blocked", ["blocked", "blocked"]),
+    ],
+)
+async def test_a_refusal_of_the_person_ends_it_and_one_of_a_unit_does_not(
+    code: str, outcomes: list[str]
+) -> None:
+    live = line(run=False)
+    commands = PlayedCommands(
+        live,
+        {1: factory(), 2: factory()},
+        objects={6: Problem(403, code, Message.of("system_error", error="no longer"))},
+    )
+    rows = typed(live, 6, "20", "30")
+    results = await write_batch(commands, ANNA, 6, rows, confirm=False)  # type: ignore[arg-type]
+    assert [result.outcome for result in results] == outcomes
+    assert {str(result.message) for result in results} == {"no longer"}
+    assert len(commands.sent) == outcomes.count(code)

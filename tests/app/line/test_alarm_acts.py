@@ -37,7 +37,7 @@ from tests.sizes import sizes
 
 ESTOP = f"{BUS}.1.estop_active"
 ANNA = Person("anna", Role.ENGINEER, "session")
-UNITS = 255
+UNITS = 64
 
 
 class ActiveAlarms:

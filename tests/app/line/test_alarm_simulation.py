@@ -50,9 +50,6 @@ RULES: list[Rule] = [
 ]
 
 
-KINDS = ("steady", "drift", "noise", "stop", "estop", "bits", "lost")
-
-
 @pytest.fixture
 def shelf(tmp_path: Path) -> Iterator[Shelf]:
     shelf = Shelf(tmp_path / "history.db")
@@ -330,16 +327,10 @@ async def test_readings_that_are_stored_no_longer_are_not_judged(
     ("body", "words"),
     [
         ({"unit": 9}, "bus dry-end has no unit 9"),
-        ({"bus": "wet-end"}, "there is no bus wet-end"),
         ({"above": "10", "deadband": "11"}, "deadband is wider than the limits leave room for"),
-        ({"below": "90", "deadband": "8"}, "would never clear"),
-        ({"on_delay_s": -1}, "on_delay_s = -1"),
         ({"above": "fast"}, "above = 'fast'"),
-        ({"value": "run"}, "run is on or off"),
         ({"from": "2026-01-01T00:00:00Z", "to": "2026-03-01T00:00:00Z"}, "at most 31 days at once"),
         ({"from": "2026-01-02T00:00:00Z", "to": "2026-01-01T00:00:00Z"}, ""),
-        ({"name": ""}, "name = ''"),
-        ({"speed": 1}, ""),
     ],
 )
 async def test_a_fault_of_the_simulated_alarm_is_named(
@@ -355,13 +346,6 @@ def test_a_key_that_is_missing_is_named_alone() -> None:
     with pytest.raises(Problem) as refused:
         proposed({"name": "Web break", "bus": "dry-end", "unit": 1}, [])
     assert str(refused.value.message) == "value is missing"
-
-
-async def test_only_an_engineer_may_simulate(house: House) -> None:
-    operator = await house.signed_in(Role.OPERATOR)
-    assert (await operator.post(PATH, json=ABOVE)).status_code == 403
-    assert (await operator.get("/alarms/own")).status_code == 403
-    assert "/alarms/own" not in (await operator.get("/alarms")).text
 
 
 async def test_the_work_of_a_simulation_is_bounded_and_the_response_says_so(house: House) -> None:

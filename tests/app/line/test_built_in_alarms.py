@@ -1,25 +1,32 @@
-"""The conditions of single built-in alarms against the model of the standard, on a clock of the test. 2 s."""
+"""Built-in alarms and those of the site: set by lineside.toml, and judged against the model of the
+standard."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 from app.core.database import Database
 from app.core.web.access import Role
+from app.line.alarms.alarm import built_in
 from app.line.alarms.bus_alarms import control_left_by
 from app.line.alarms.journal import AlarmStore
 from app.line.alarms.line_alarms import ExpiryWatch, SiteAlarms
+from app.line.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.line.conditions.catalogue import CONDITIONS, DAY_S, certificate_expires, token_expires
 from app.line.live.diagnosis import bus_facts
 from app.people.auth.store import Token
 from bus.contract import BusFigures, BusLink, ParameterValue
 from bus.instants import Monotonic, UnixTime
-from tests.app.alarm_bus import AT_SPEED, REMOTE, AlarmBus
+from tests.app.alarm_bus import AT_SPEED, BUS, REMOTE, AlarmBus
 from tests.app.alarm_model import FOREVER, ModelAlarm
+from tests.app.configured import faults_of
 from tests.app.notification_servers import certificate
 from tests.sizes import sizes
 
@@ -92,24 +99,6 @@ def test_a_deviation_ends_by_its_deadband_and_means_nothing_on_a_ramp_or_at_rest
     bus.wait(1, 1, 2, 3, commanded=2000, outputs=REMOTE)
     assert bus.alarm("1.deviation").holds is False
     assert [bus.alarm(f"{unit}.deviation").first_out for unit in (1, 2, 3)] == [True, False, False]
-
-
-def test_a_deviation_is_not_known_before_the_full_scale_is(database: Database) -> None:
-    bus = AlarmBus(database)
-    bus.connect()
-    bus.wait(9, 1, 2, 3, actual=1500)
-    assert bus.alarm("1.deviation").holds is None
-    assert bus.state("1.deviation") == "normal"
-
-
-def test_an_analog_input_that_is_not_wired_is_no_alarm(bus: AlarmBus) -> None:
-    unit = bus.live.units[2]
-    unit.settings = unit.settings.model_copy(
-        update={"labels": unit.settings.labels.model_copy(update={"analog": ""})}
-    )
-    bus.wait(12, 1, 2, analog=0)
-    assert bus.state("1.analog_out_of_limits") == "unack_active"
-    assert bus.state("2.analog_out_of_limits") == "normal"
 
 
 def test_a_scan_over_its_budget_is_an_alarm_after_a_minute_and_unknown_without_a_port(bus: AlarmBus) -> None:
@@ -248,3 +237,170 @@ async def test_the_token_and_the_certificate_that_end_first_are_named(
     site.tick()
     assert (token.facts.state, authority.facts.state) == ("rtn_unack", "unack_active")
     assert str(site.present(authority)).startswith("plant.pem until 20")
+
+
+CONFIGURED = '[[bus]]\nname = "dry-end"\nport = "/dev/null"\n[[bus.unit]]\nid = 4\nname = "Dryer"\n'
+OWN = '[[alarm]]\nname = "Dryer too slow"\nbus = "dry-end"\nunit = 4\n'
+
+
+def test_an_own_alarm_is_read_as_documented(tmp_path: Path) -> None:
+    text = 'value = "actual"\nbelow = "80.0"\non_delay_s = 5.0\noff_delay_s = 2\ndeadband = "0.5"\n'
+    assert faults_of(tmp_path, CONFIGURED + OWN + text + 'priority = "high"\nlatch = false\n') == ""
+    text = 'value = "output.2"\nstate = "on"\non_delay_s = 600\n'
+    assert faults_of(tmp_path, CONFIGURED + OWN + text) == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        ('value = "actual"\nbelow = "80"\non_delay_s = -1\n', 13, "on_delay_s = -1"),
+        ('value = "speed"\nbelow = "80"\n', 11, "commanded"),
+        ('value = "actual"\n', 7, "above, below or both, or a change per second (change_per_s)"),
+        ('value = "run"\n', 7, 'write state = "on" or "off"'),
+        ('value = "run"\nabove = "1"\n', 7, "run is on or off"),
+        ('value = "actual"\nstate = "on"\n', 7, "actual is a number"),
+        ('value = "actual"\nbelow = "80"\nabove = "70"\n', 7, "below is not less than above"),
+        ('value = "actual"\nbelow = "80"\nabove = "90"\ndeadband = "5"\n', 7, "would never clear"),
+        (
+            'value = "actual"\nabove = "90"\ndeadband = "91"\n',
+            7,
+            "deadband is wider than the limits leave room for",
+        ),
+        ('value = "actual"\nchange_per_s = "5"\ndeadband = "1"\n', 7, "use off_delay_s"),
+        ('value = "actual"\nbelow = "nan"\n', 12, "finite number"),
+    ],
+)
+def test_a_fault_of_an_own_alarm_is_named_with_its_line(
+    tmp_path: Path, text: str, line: int, words: str
+) -> None:
+    fault = faults_of(tmp_path, CONFIGURED + OWN + text)
+    assert words in fault
+    assert fault.startswith(f"FILE:{line}: ")
+
+
+@pytest.mark.parametrize(
+    ("own", "line", "words"),
+    [
+        (OWN.replace("unit = 4", "unit = 9"), 10, "alarm Dryer too slow: bus dry-end has no unit 9"),
+        (OWN.replace("dry-end", "wet-end"), 9, "alarm Dryer too slow: there is no bus wet-end"),
+        (OWN + 'value = "actual"\nabove = 1\n' + OWN, 14, "is given twice for bus dry-end"),
+    ],
+)
+def test_an_own_alarm_has_its_unit_and_its_name(tmp_path: Path, own: str, line: int, words: str) -> None:
+    fault = faults_of(tmp_path, CONFIGURED + own + 'value = "actual"\nbelow = "80"\n')
+    assert words in fault
+    assert fault.startswith(f"FILE:{line}: ")
+
+
+DEVIATION = '[[built_in_alarm]]\ncode = "deviation"\n'
+OF_UNIT = 'bus = "dry-end"\nunit = 4\n'
+
+
+def tuned_bus(database: Database, *entries: dict[str, Any]) -> AlarmBus:
+    """Three units whose maximum display value is 200.0."""
+    bus = AlarmBus(database, tuned=[BuiltInAlarmSettings(**each) for each in entries])
+    bus.connect()
+    bus.apply(*(ParameterValue(unit=unit, number=2, at=bus.now, raw=2000) for unit in (1, 2, 3)))
+    bus.wait(2, 1, 2, 3)
+    return bus
+
+
+@pytest.mark.parametrize("code", [row.code for row in CONDITIONS.values() if row.is_alarm])
+def test_the_delays_of_every_built_in_alarm_can_be_set(code: str) -> None:
+    row = CONDITIONS[code]
+    entry = BuiltInAlarmSettings(code=code, on_delay_s=7.0)
+    tuning = tuning_of([entry], row.code, BUS, 1)
+    assert tuning == replace(row.tuning, on_delay_s=7.0)
+    assert built_in(row.code, BUS, 1, [entry]).attributes.on_delay_s == 7
+
+
+@pytest.mark.parametrize("code", [row.code for row in CONDITIONS.values() if not row.is_alarm])
+def test_a_condition_without_an_alarm_cannot_be_set(code: str) -> None:
+    with pytest.raises(ValidationError):
+        BuiltInAlarmSettings(code=code, on_delay_s=7.0)
+
+
+def test_a_built_in_alarm_is_set_as_documented(tmp_path: Path) -> None:
+    everywhere = f'{DEVIATION}above_percent = 3\ndeadband_percent = "0.5"\n'
+    assert faults_of(tmp_path, CONFIGURED + everywhere + DEVIATION + OF_UNIT + "on_delay_s = 20\n") == ""
+
+
+def test_a_unit_comes_before_its_bus_and_that_before_everywhere(database: Database) -> None:
+    """At 40 of 2000 away: 2 %."""
+    bus = tuned_bus(
+        database,
+        {"code": "deviation", "bus": BUS, "unit": 2, "above_percent": 3},
+        {"code": "deviation", "bus": BUS, "above_percent": "1.5"},
+        {"code": "deviation", "above_percent": 4, "off_delay_s": 7.0},
+        {"code": "deviation", "bus": BUS, "unit": 3, "on_delay_s": 60.0},
+    )
+    bus.wait(10, 1, 2, 3, actual=1040)
+    assert bus.present() == {"1.deviation"}
+    assert {bus.alarm(f"{unit}.deviation").definition.attributes.off_delay_s for unit in (1, 2, 3)} == {7}
+    bus.wait(51, 1, 2, 3, actual=1040)
+    assert bus.present() == {"1.deviation", "3.deviation"}
+
+
+def test_a_deadband_decides_when_a_deviation_clears(database: Database) -> None:
+    bus = tuned_bus(database, {"code": "deviation", "deadband_percent": 4})
+    bus.wait(10, 1, 2, 3, actual=1101)
+    bus.wait(10, 1, 2, 3, actual=1021)
+    assert bus.state("1.deviation") == "unack_active"
+    bus.wait(10, 1, 2, 3, actual=1020)
+    assert bus.state("1.deviation") == "rtn_unack"
+
+
+def test_the_analog_input_has_limits_within_its_range(database: Database) -> None:
+    limits = {"above_percent": 80, "below_percent": 10, "deadband_percent": 5}
+    bus = tuned_bus(database, {"code": "analog_out_of_limits", **limits, "on_delay_s": 0.0})
+    for analog, state in ((204, "normal"), (205, "unack_active"), (192, "unack_active"), (191, "rtn_unack")):
+        bus.wait(8, 1, 2, 3, analog=analog)
+        assert bus.state("1.analog_out_of_limits") == state, analog
+    bus.wait(1, 1, 2, 3, analog=25)
+    assert bus.state("1.analog_out_of_limits") == "unack_active"
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        (DEVIATION + "on_delay_s = -1\n", 9, "on_delay_s = -1"),
+        (DEVIATION + "above_percent = 101\n", 9, "above_percent = 101"),
+        (DEVIATION + 'deadband_percent = "5"\n', 8, "alarm deviation: deadband is wider than the limits"),
+        (DEVIATION + "below_percent = 1\n", 9, "alarm deviation has no below_percent; known here: "),
+        (DEVIATION, 8, "alarm deviation: nothing is set; write one of above_percent, "),
+        (DEVIATION + "unit = 4\nabove_percent = 3\n", 9, "name the bus"),
+        (DEVIATION + OF_UNIT.replace("4", "9") + "on_delay_s = 1\n", 10, "bus dry-end has no unit 9"),
+        (DEVIATION + OF_UNIT.replace("dry", "wet") + "on_delay_s = 1\n", 9, "there is no bus wet-end"),
+        (
+            '[[built_in_alarm]]\ncode = "analog_out_of_limits"\nbelow_percent = 99.7\n',
+            8,
+            "below is not less than above",
+        ),
+        (
+            '[[built_in_alarm]]\ncode = "worker_lost"\n' + OF_UNIT + "on_delay_s = 1\n",
+            10,
+            "worker_lost is not of one unit",
+        ),
+        (
+            '[[built_in_alarm]]\ncode = "disk_low"\nbus = "dry-end"\non_delay_s = 1\n',
+            9,
+            "disk_low is of the server",
+        ),
+        (2 * (DEVIATION + "above_percent = 3\n"), 11, "deviation is set twice for one place"),
+        ('[[built_in_alarm]]\ncode = "deviations"\n', 8, "unit_offline"),
+    ],
+)
+def test_a_fault_of_a_built_in_alarm_is_named_with_its_line(
+    tmp_path: Path, text: str, line: int, words: str
+) -> None:
+    fault = faults_of(tmp_path, CONFIGURED + text)
+    assert words in fault
+    assert fault.startswith(f"FILE:{line}: ")
+
+
+def test_limits_are_judged_with_those_that_they_are_set_over(tmp_path: Path) -> None:
+    everywhere = DEVIATION + "above_percent = 10\ndeadband_percent = 6\n"
+    assert faults_of(tmp_path, CONFIGURED + everywhere) == ""
+    fault = faults_of(tmp_path, CONFIGURED + everywhere + DEVIATION + OF_UNIT + "above_percent = 5\n")
+    assert "deadband is wider than the limits" in fault
+    assert fault.startswith("FILE:12: ")

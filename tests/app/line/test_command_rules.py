@@ -209,10 +209,6 @@ def test_the_reason_of_a_refusal_stands_without_the_words_that_nothing_was_sent(
     assert reason_of(Problem(503, "not_sent", Message("deadline_passed"))) == Message("deadline_passed")
 
 
-def test_an_empty_change_is_refused() -> None:
-    assert objection(SetLine(setpoints={}), circumstances()).code == "invalid"
-
-
 @given(st.integers(-5, 12))
 def test_outputs_are_one_to_six(number: int) -> None:
     action = WriteOutput(unit=1, number=number, on=True)
@@ -243,10 +239,6 @@ def test_a_parameter_out_of_range_never_leaves(number: int, raw: int) -> None:
         check(action, circumstances(confirm=True))
     else:
         assert objection(action, circumstances(confirm=True)).code == "invalid"
-
-
-def test_the_address_is_never_written() -> None:
-    assert objection(WriteParameter(unit=1, number=17, raw=5), circumstances(confirm=True)).code == "invalid"
 
 
 @pytest.mark.parametrize(("number", "raw"), [(18, 48), (19, 0), (19, 2), (27, 1)])
@@ -295,16 +287,10 @@ def moves() -> Moves:
     return noted
 
 
-@pytest.mark.parametrize(
-    ("at", "moved"), [(130.0, 42), (159.9, 42), (160.0, 12), (189.9, 12), (190.0, 0), (1e9, 0)]
-)
+@pytest.mark.parametrize(("at", "moved"), [(159.9, 42), (160.0, 12), (189.9, 12), (190.0, 0)])
 def test_a_step_counts_for_a_minute(moves: Moves, at: float, moved: int) -> None:
     assert moves.within_a_minute(1, Monotonic(at)) == moved
-    assert moves.within_a_minute(1, Monotonic(at)) == moved
-
-
-def test_each_unit_has_its_own(moves: Moves) -> None:
-    assert moves.within_a_minute(2, Monotonic(130.0)) == 0
+    assert moves.within_a_minute(2, Monotonic(at)) == 0
 
 
 def test_a_step_that_did_not_happen_counts_no_more(moves: Moves) -> None:

@@ -1,17 +1,27 @@
-"""From a request to the wire: recorded before it is sent, sent once, one outcome in every case."""
+"""From a request to the wire: recorded before it is sent, sent once, also where its id is repeated after a
+restart."""
 
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import sqlite3
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
+import msgspec
 import pytest
 
+from app.core.database import Database
 from app.core.web.access import Person, Role
 from app.core.web.arrival import Deadline
 from app.errors import Problem, StoreError
+from app.line.commands import record
+from app.line.commands.record import CommandRequest, without_secret
+from app.line.commands.service import CommandService
+from app.line.live.requests import key_of
+from app.people.audit.entry import KeyRing
 from app.people.audit.log import Filter
 from bus.contract import (
     Action,
@@ -19,8 +29,10 @@ from bus.contract import (
     ChangeBaud,
     Command,
     ReadParameters,
+    Result,
     SetLine,
     SetSpeed,
+    UnitOutcome,
     Update,
     WriteParameter,
 )
@@ -176,3 +188,211 @@ async def test_reads_before_a_write_come_first(site: House, worker: PlayedWorker
     await site.commands.send(ANNA, ReadParameters(unit=1, numbers=[6]))
     kept = "kept anna [1]"
     assert order == [f"{kept} for parameters", "sent", kept, "sent", "sent"]
+
+
+def restarted(site: House) -> CommandService:
+    """The commands of a server that remembers nothing but what is on disk."""
+    return site.commands_after_restart()
+
+
+async def test_a_known_result_is_repeated_and_nothing_is_sent(site: House, worker: PlayedWorker) -> None:
+    worker.play = responding("refused", unit_error=129, message=term("value above max"))
+    first = await site.commands.send(ANNA, COMMAND, id="mine")
+    again = await restarted(site).send(ANNA, COMMAND, id="mine")
+    assert (again.outcome, again.unit_error, again.message) == ("refused", 129, term("value above max"))
+    assert again.at == first.at
+    assert len(worker.commands) == 1
+
+
+async def test_what_was_open_at_the_restart_is_unverified_and_not_sent_again(
+    site: House, worker: PlayedWorker
+) -> None:
+    open_still = asyncio.create_task(site.commands.send(ANNA, COMMAND, id="mine"))
+    command = await worker.receive(Command)
+    assert isinstance(command, Command)
+    again = await restarted(site).send(ANNA, COMMAND, id="mine")
+    assert (again.outcome, again.message) == ("unverified", Message("server_stopped"))
+    await worker.update(result_of(command, "verified"))
+    assert (await open_still).outcome == "verified"
+    assert len(worker.commands) == 1
+
+
+async def test_a_command_refused_before_sending_may_be_repeated(site: House, worker: PlayedWorker) -> None:
+    dangerous = WriteParameter(unit=1, number=19, raw=0)
+
+    worker.play = responding("verified")
+    with pytest.raises(Problem):
+        await site.commands.send(ANNA, dangerous, id="mine")
+    confirmed = await restarted(site).send(ANNA, dangerous, confirm=True, id="mine")
+    assert confirmed.outcome == "verified"
+    assert len(worker.commands) == 1
+
+
+async def test_a_form_is_known_as_sent_after_a_restart_too(site: House, worker: PlayedWorker) -> None:
+    """A page judges a form by the line as it is only where its command was not sent."""
+    worker.play = responding("verified")
+    assert not (await site.commands.look_up(ANNA, "mine")).is_used
+    await site.commands.send(ANNA, COMMAND, id="mine")
+    again = restarted(site)
+    assert [(await again.look_up(person, "mine")).is_used for person in (ANNA, BEN)] == [True, False]
+
+
+BEN = Person("ben", Role.ENGINEER, "session")
+SENDERS = [
+    BEN,
+    Person("anna", Role.ENGINEER, "session"),
+    Person("anna", Role.ENGINEER, "token", created_at=5.0),
+]
+"""Others than ANNA, a token: another name, a user of the same name, and a later token of that name."""
+
+
+@pytest.mark.parametrize("other", SENDERS)
+async def test_a_key_is_its_senders_own(site: House, worker: PlayedWorker, other: Person) -> None:
+    """Two who count their commands from 1 neither hinder each other nor see what became of the other's."""
+    worker.play = responding("verified", read_back=5)
+    await site.commands.send(ANNA, COMMAND, id="1")
+    worker.play = responding("refused", unit_error=129)
+    for commands in (site.commands, restarted(site)):
+        first = await commands.send(other, SetSpeed(unit=2, raw=7), id="1")
+        assert (first.id, first.outcome, first.read_back) == ("1", "refused", None)
+        mine = await commands.send(ANNA, COMMAND, id="1")
+        assert (mine.id, mine.outcome, mine.read_back) == ("1", "verified", 5)
+    assert len(worker.commands) == 2
+
+
+async def test_no_two_commands_have_the_same_id_at_the_worker(site: House, worker: PlayedWorker) -> None:
+    """It repeats the result of an id that it knows: another sender's, or last week's."""
+    worker.play = responding("verified")
+    for person in (ANNA, *SENDERS):
+        await site.commands.send(person, COMMAND, id="1")
+    await site.services[Database].write(lambda connection: connection.execute("DELETE FROM idempotency"))
+    await restarted(site).send(ANNA, COMMAND, id="1")
+    assert len({command.id for command in worker.commands}) == len(SENDERS) + 2
+    assert {key_of(command.id) for command in worker.commands} == {"1"}
+
+
+async def test_two_requests_with_one_key_at_once_are_one_command(site: House, worker: PlayedWorker) -> None:
+    worker.play = responding("verified", read_back=5)
+    sending = [site.commands.send(ANNA, COMMAND, id="mine") for _ in range(5)]
+    other = site.commands.send(ANNA, SetSpeed(unit=1, raw=6), id="mine")
+    *same, refused = await asyncio.gather(*sending, other, return_exceptions=True)
+    assert {result.read_back for result in same if isinstance(result, Result)} == {5}
+    assert len(same) == 5
+    assert isinstance(refused, Problem)
+    assert refused.status == 422
+    assert len(worker.commands) == 1
+
+
+async def test_a_command_that_could_not_be_recorded_may_be_repeated(
+    site: House, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: object, **__: object) -> list[int]:
+        raise StoreError(Message.of("system_error", error="the disk is full"))
+
+    worker.play = responding("verified")
+    monkeypatch.setattr(site.log, "intend_together", full)
+    with pytest.raises(StoreError):
+        await site.commands.send(ANNA, COMMAND, id="mine")
+    monkeypatch.undo()
+    assert (await site.commands.send(ANNA, COMMAND, id="mine")).outcome == "verified"
+    assert len(worker.commands) == 1
+
+
+async def test_the_order_of_the_setpoints_is_not_part_of_the_command(
+    site: House, worker: PlayedWorker
+) -> None:
+    worker.play = responding("verified")
+    await site.commands.send(ANNA, SetLine(setpoints={1: 5, 2: 6}), id="mine")
+    await restarted(site).send(ANNA, SetLine(setpoints={2: 6, 1: 5}), id="mine")
+    assert len(worker.commands) == 1
+
+
+def request(key: str | None, action: Action = COMMAND) -> CommandRequest:
+    return CommandRequest("id", ANNA, "dry-end", action, deadline=0.0, origin="api", key=key)
+
+
+class Table:
+    """The table, at a time of the test's."""
+
+    def __init__(self, site: House) -> None:
+        self._database = site.services[Database]
+        self._ring = site.log.keys.ring
+
+    async def begin(self, request: CommandRequest, now: float, *, ends: bool = True) -> None:
+        result = Result("id", now, "verified", read_back=17, units=[UnitOutcome(1, "verified", read_back=17)])
+
+        def work(connection: sqlite3.Connection) -> None:
+            record.begin_key(connection, request, self._ring, now)
+            if ends:
+                record.end_key(connection, request, without_secret(request.action, result))
+
+        await self._database.write(work)
+
+    async def knows(self, key: str) -> bool:
+        found = await self._database.read(lambda c: record.find_key(c, ANNA.sender, key))
+        return found is not None
+
+    async def rows(self) -> list[tuple[object, ...]]:
+        return await self._database.read(
+            lambda c: [tuple(row) for row in c.execute("SELECT * FROM idempotency")]
+        )
+
+
+async def test_keys_are_forgotten_in_the_end(site: House) -> None:
+    table = Table(site)
+    await table.begin(request("old"), 0.0)
+    await table.begin(request("new"), record.MAX_AGE_S + 1)
+    assert not await table.knows("old")
+    assert await table.knows("new")
+
+
+async def test_a_sender_with_many_keys_forgets_its_own_oldest(
+    site: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(record, "MAX_OF_A_SENDER", 10)
+    table = Table(site)
+    others = CommandRequest("id", BEN, "dry-end", COMMAND, deadline=0.0, origin="api", key="first")
+    await table.begin(others, 0.0)
+    await table.begin(request("open"), 0.5, ends=False)
+    for number in range(20):
+        await table.begin(request(str(number)), 1.0 + number)
+    assert [await table.knows(str(number)) for number in (8, 9, 10, 19)] == [False, False, True, True]
+    assert await table.knows("open"), "it may be under way"
+    assert len(await table.rows()) == 12
+
+
+async def test_a_command_without_a_key_is_not_kept(site: House, worker: PlayedWorker) -> None:
+    worker.play = responding("verified")
+    for key in (None, ""):
+        for _ in range(2):
+            await site.commands.send(ANNA, COMMAND, id=key)
+    assert len(worker.commands) == 4
+    assert await Table(site).rows() == []
+
+
+async def test_nothing_of_a_secret_is_stored(site: House) -> None:
+    table = Table(site)
+    await table.begin(request("mine", WriteParameter(unit=1, number=21, raw=17)), 1.0)
+    [(_, _, _, command, result)] = await table.rows()
+    assert isinstance(result, bytes)
+    assert b"17" not in result
+    plain = hashlib.sha256(msgspec.json.encode(WriteParameter(unit=1, number=21, raw=17))).hexdigest()
+    assert command != plain
+    assert command != record.digest(KeyRing((b"x" * 32,)), "dry-end", WriteParameter(1, 21, 17))
+
+
+async def test_a_result_that_cannot_be_read_is_unverified(site: House, worker: PlayedWorker) -> None:
+    worker.play = responding("verified")
+    await site.commands.send(ANNA, COMMAND, id="mine")
+    await site.services[Database].write(lambda c: c.execute("UPDATE idempotency SET result = ?", (b"{",)))
+    again = await restarted(site).send(ANNA, COMMAND, id="mine")
+    assert (again.outcome, again.message) == ("unverified", record.UNREADABLE)
+    assert len(worker.commands) == 1
+
+
+async def test_a_newer_key_of_the_log_forgets_no_command(site: House, worker: PlayedWorker) -> None:
+    worker.play = responding("verified")
+    await site.commands.send(ANNA, COMMAND, id="mine")
+    site.log.keys.rotate()
+    assert (await restarted(site).send(ANNA, COMMAND, id="mine")).outcome == "verified"
+    assert len(worker.commands) == 1

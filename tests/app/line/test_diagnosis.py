@@ -271,10 +271,6 @@ def shown(
     return (found.level, found.code) if found else None
 
 
-def test_a_unit_at_speed_in_remote_is_nothing() -> None:
-    assert shown() is None
-
-
 @pytest.mark.parametrize(
     ("given", "found"),
     [

@@ -23,7 +23,7 @@ from tests.app.screens import translator
 
 NEGATIVE = 4_294_967_196
 """-100 as the two's complement of four bytes."""
-BEYOND = (100_000, 2**31, NEGATIVE, 2**32 - 1)
+BEYOND = (100_000, NEGATIVE)
 SPEEDS = ("commanded", "actual")
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from app.core.web.assets import static_dir
 from app.line.alarms.alarm import built_in
-from app.line.conditions.catalogue import CONDITIONS, PLACES, STATUS, TILES
+from app.line.conditions.catalogue import CONDITIONS, STATUS, TILES
 from app.line.conditions.condition import MATRIX, PRIORITIES, AlarmPriority, Condition
 from app.line.conditions.unit import BY_READING
 from app.line.live.bus_live import LiveState
@@ -138,15 +138,6 @@ def test_the_alarm_of_a_condition_is_its_row_in_words(row: Condition[Any]) -> No
         *(row.tuning.on_delay_s, row.tuning.off_delay_s),
         *(row.latching, row.group),
     )
-
-
-@EVERY_ALARM
-def test_the_documentation_of_a_condition_is_its_row(row: Condition[Any]) -> None:
-    (line,) = [line for line in DOCUMENT.read_text().splitlines() if line.startswith(f"| `{row.code}` |")]
-    code, place, means, delays, priority = (cell.strip() for cell in line.strip("| ").split(" | "))
-    assert row in PLACES[place]  # type: ignore[index]
-    assert (code, means, priority) == (f"`{row.code}`", row.means, row.priority)
-    assert delays == f"{row.tuning.on_delay_s:g}, {row.tuning.off_delay_s:g}"
 
 
 def test_the_table_of_the_documentation_is_generated() -> None:

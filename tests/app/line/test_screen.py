@@ -9,16 +9,7 @@ import pytest
 from app.line.conditions.catalogue import TILES
 from app.line.live.bus_live import Onset
 from app.line.live.diagnosis import abnormal
-from app.line.live.fields import (
-    Groups,
-    bus_fields,
-    frame_fields,
-    health_fields,
-    merge_groups,
-    name_on_site,
-    put_fields,
-    unit_fields,
-)
+from app.line.live.fields import bus_fields, frame_fields, health_fields, name_on_site, unit_fields
 from app.line.live.screen import NamedCause, holders, line_fields, verdict_line
 from bus.contract import MAX_MEANING, BusFigures, BusLink, Frame, ParameterValue, UnitFigures
 from bus.instants import UnixTime
@@ -27,31 +18,6 @@ from bus.settings import Dialect
 from bus.wire.commands import WriteParameterRequest, encode_request
 from bus.wire.describe import describe_bytes
 from tests.app.screens import AT_SPEED, REMOTE, line, reading, screen, translator
-
-
-def test_only_fields_that_differ_go_on() -> None:
-    shown: Groups = {}
-    assert put_fields(shown, "a/1", {"speed": "1.0", "state": "run"}) == {
-        "a/1": {"speed": "1.0", "state": "run"}
-    }
-    assert put_fields(shown, "a/1", {"speed": "1.1", "state": "run"}) == {"a/1": {"speed": "1.1"}}
-    assert shown == {"a/1": {"speed": "1.1", "state": "run"}}
-
-
-def test_a_group_without_a_difference_does_not_go_on() -> None:
-    shown: Groups = {"a/1": {"speed": "1.0"}}
-    assert put_fields(shown, "a/1", {"speed": "1.0"}) == {}
-
-
-def test_later_fields_take_the_place_of_earlier_ones_and_leave_the_others() -> None:
-    first: Groups = {"a/1": {"speed": "1.0", "state": "run"}}
-    second: Groups = {"a/1": {"speed": "1.1"}, "a/2": {"speed": "2.0"}}
-    assert merge_groups({}, first, second) == {
-        "a/1": {"speed": "1.1", "state": "run"},
-        "a/2": {"speed": "2.0"},
-    }
-    assert first == {"a/1": {"speed": "1.0", "state": "run"}}
-    assert second["a/1"] == {"speed": "1.1"}
 
 
 def fields(tag: str = "en", **changes: int) -> dict[str, str]:
@@ -405,12 +371,6 @@ def test_the_line_s_figures_are_the_worst_of_all_buses() -> None:
 def test_a_block_is_shown_with_its_reason() -> None:
     shown = screen(line(), blocks={2: "belt off"})
     assert shown.shown["dry/2"]["status"] == "Commands blocked: belt off (anna)"
-
-
-def test_the_first_paint_has_the_same_texts() -> None:
-    shown = screen(line(), "de")
-    assert shown.flat()["dry/1.actual"] == "120,0"
-    assert shown.flat()["line_summary.verdict"] == "Läuft mit 120,0 m/min · alle 2 auf Sollwert"
 
 
 def test_a_bus_without_any_response_is_one_entry() -> None:

@@ -1,43 +1,48 @@
-"""The line, its buses and units as the API shows them, and that pages show the same."""
+"""The present state, and the line, its buses and units as the API shows them."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import ConfigDict, TypeAdapter
 
 from app.line.commands.api import CommandResult, result_json
 from app.line.live.api.view import BusShown, CauseShown, ParameterShown, UnitShown, parameter_json
-from app.line.live.bus_live import LiveState
+from app.line.live.bus_live import (
+    NO_WORKER,
+    Audience,
+    BusLive,
+    LiveState,
+    offline_after_s,
+    scan_s_at_best,
+    scan_s_of,
+    stale_after_s,
+    unit_link_now,
+    updates_of,
+)
 from bus.catalogue import parameters as catalogue
 from bus.contract import (
     BusFigures,
     BusLink,
-    Command,
     Frame,
     ParameterValue,
     Result,
     Staged,
     UnitFigures,
     UnitLink,
+    UnitLinkState,
     UnitOutcome,
     Update,
 )
 from bus.messages import Message, term
 from tests.app.complete_app import House
-from tests.app.fake_worker import (
-    HEALTHY,
-    PARAMETERS,
-    REMOTE,
-    bus_settings,
-    reading,
-    result_of,
-    snapshot,
-    until,
-)
+from tests.app.fake_worker import HEALTHY, PARAMETERS, REMOTE, bus_settings, reading, snapshot, until
 from tests.app.screens import line_view
 
 CONTRACT_UNIT = {
@@ -113,12 +118,6 @@ def test_output_bits(outputs: int, inputs: int, expected: dict[str, Any]) -> Non
     assert shown(live).items() >= expected.items()
 
 
-def test_keylock_is_distinguished_from_local_by_its_parameter() -> None:
-    live = live_with()
-    live.buses["dry-end"].apply([reading(1, outputs=0), parameter(19, 2)])
-    assert shown(live)["mode"] == "KEYLOCK"
-
-
 @pytest.mark.parametrize(
     ("healthy", "bit", "active"), [(1, 1, False), (1, 0, True), (0, 0, False), (0, 1, True)]
 )
@@ -156,12 +155,6 @@ def test_a_bus_with_and_without_figures() -> None:
     live.buses["dry-end"].apply([figures, BusLink(at=2.0, link="closed", cause=term("unplugged"))])
     bus = line_view(live).bus("dry-end", time.time())
     assert (bus["link"], bus["link_cause"]["detail"], bus["scan_hz"]) == ("closed", "unplugged", 12.5)
-
-
-def test_the_line_has_every_bus() -> None:
-    line = line_view(live_with()).line(time.time())
-    assert (line["site"], line["history"]) == ("Mill 7", None)
-    assert [bus["name"] for bus in line["buses"]] == ["dry-end"]
 
 
 def test_a_parameter_as_read_unread_and_not_there() -> None:
@@ -227,28 +220,6 @@ def test_outcomes() -> None:
         TypeAdapter(CommandResult).validate_python(result_of)
 
 
-async def test_the_api_gives_them(site: House) -> None:
-    worker = await site.worker()
-
-    async def unresponsive(command: Command) -> list[Update]:
-        return [result_of(command, "unverified", message=term("no response"))]
-
-    worker.play = unresponsive
-    for path in ("/units/1", "", "/units/1/parameters"):
-        assert (await site.request("GET", path)).status_code == 200
-    assert (await site.http().get("/api/v1/line")).status_code == 200
-
-
-async def test_the_line_a_bus_a_unit(site: House) -> None:
-    await site.worker()
-    line = (await site.http("viewer").get("/api/v1/line")).json()
-    assert line["site"] == "Mill 7"
-    bus = (await site.http("viewer").get("/api/v1/buses/dry-end")).json()
-    assert [unit["id"] for unit in bus["units"]] == [1, 2, 16]
-    unit = (await site.request("GET", "/units/16", role="viewer")).json()
-    assert (unit["name"], unit["link"], unit["commanded"]) == ("Unit 16", "online", "100.0")
-
-
 async def test_figures_before_and_after_they_are_measured(site: House) -> None:
     worker = await site.worker()
     assert (await site.request("GET", "/figures", role="viewer")).json()["measured"] is False
@@ -277,3 +248,162 @@ async def test_a_text_is_one_object_with_its_code(site: House) -> None:
     assert unit["suspect"]["detail"] == "unit 2 may respond in its place (each response comes twice)"
     assert unit["blocked"]["params"]["reason"] == "belt off"
     assert "belt off" in unit["blocked"]["detail"]
+
+
+READ_AT = 1000.0
+
+
+def bus_of(reported: UnitLinkState = "online", *, port: str = "open", scan_s: float | None = None) -> BusLive:
+    """Unit 1 was read at READ_AT."""
+    live = LiveState([bus_settings()], 0.0)
+    read = reading(1)
+    word = type(read)(1, READ_AT, read.commanded, read.actual, read.analog, read.outputs, read.inputs)
+    live.buses["dry-end"].apply([word, UnitLink(unit=1, at=READ_AT, link=reported)])
+    live.buses["dry-end"].apply([BusLink(at=0.0, link="open" if port == "open" else "closed")])
+    if scan_s is not None:
+        live.buses["dry-end"].apply([BusFigures(0.0, 1 / scan_s, scan_s, 0.9, scan_s)])
+    return live.buses["dry-end"]
+
+
+@pytest.mark.parametrize(
+    ("reported", "port", "age_s", "link"),
+    [
+        ("online", "open", 0.0, "online"),
+        ("online", "open", 2.0, "online"),
+        ("online", "open", 2.01, "stale"),
+        ("online", "open", 10.1, "offline"),
+        ("stale", "open", 0.0, "stale"),
+        ("offline", "open", 0.0, "offline"),
+        ("online", "closed", 0.0, "stale"),
+        ("online", "closed", 11.0, "offline"),
+    ],
+)
+def test_the_worse_of_word_port_and_age(
+    reported: UnitLinkState, port: str, age_s: float, link: UnitLinkState
+) -> None:
+    bus = bus_of(reported, port=port)
+    assert unit_link_now(bus, bus.units[1], READ_AT + age_s) == link
+
+
+def test_a_long_scan_is_given_its_time() -> None:
+    bus = bus_of(scan_s=6.6)
+    assert unit_link_now(bus, bus.units[1], READ_AT + 13.1) == "online"
+    assert unit_link_now(bus, bus.units[1], READ_AT + 13.3) == "stale"
+    assert unit_link_now(bus, bus.units[1], READ_AT + 34.0) == "offline"
+
+
+def test_a_unit_that_never_responded_is_unknown_whatever_is_reported() -> None:
+    bus = bus_of()
+    assert unit_link_now(bus, bus.units[2], READ_AT) == "unknown"
+
+
+def test_before_figures_the_scan_is_what_the_wire_allows() -> None:
+    bus = bus_of()
+    assert scan_s_of(bus) == scan_s_at_best(bus.settings)
+    assert scan_s_at_best(bus.settings) == pytest.approx(3 * 250 / 9600)
+
+
+def test_before_figures_a_limited_scan_is_given_its_time() -> None:
+    bus = bus_of()
+    bus.settings = bus.settings.model_copy(update={"max_scan_hz": 0.2})
+    assert scan_s_of(bus) == 5.0
+    bus.settings = bus.settings.model_copy(update={"max_scan_hz": 100.0})
+    assert scan_s_of(bus) == pytest.approx(3 * 250 / 9600), "more than the wire carries"
+
+
+@given(st.floats(0, 1000))
+def test_offline_comes_after_stale(scan_s: float) -> None:
+    assert offline_after_s(scan_s) > stale_after_s(scan_s) >= 2.0
+
+
+@pytest.fixture
+def live() -> LiveState:
+    return LiveState([bus_settings()], 100.0)
+
+
+def test_at_first_nothing_is_known(live: LiveState) -> None:
+    bus = live.buses["dry-end"]
+    assert (bus.link.link, bus.link.cause, bus.worker_connected) == ("closed", NO_WORKER, False)
+    assert list(bus.units) == [1, 2, 16]
+    assert {unit.link.link for unit in bus.units.values()} == {"unknown"}
+    assert all(unit.reading is None for unit in bus.units.values())
+
+
+def test_each_word_changes_what_it_is_about(live: LiveState) -> None:
+    figures = BusFigures(at=1.0, scan_hz=4.0, scan_s=0.25, wire_utilisation=0.9, scan_s_with_one_more=0.3)
+    link = UnitLink(unit=2, at=1.0, link="online")
+    port = BusLink(at=1.0, link="open")
+    update = reading(2, 55)
+    live.buses["dry-end"].apply(
+        [port, figures, link, update, ParameterValue(2, 3, 1.0, 1), Staged(2, 1.0, 77)]
+    )
+    bus, unit = live.buses["dry-end"], live.buses["dry-end"].units[2]
+    assert (bus.link, bus.figures) == (port, figures)
+    assert (unit.link, unit.reading, unit.staged, unit.parameter_raw(3)) == (link, update, 77, 1)
+    assert unit.parameter_raw(4) is None
+    live.buses["dry-end"].apply([Staged(2, 2.0, None)])
+    assert unit.staged is None
+    assert live.buses["dry-end"].units[1].reading is None
+
+
+def test_the_rate_is_the_last_that_the_worker_reported(live: LiveState) -> None:
+    bus = live.buses["dry-end"]
+    live.buses["dry-end"].apply([BusLink(at=1.0, link="open")])
+    assert bus.baud == 9600, "as configured where an older worker reports none"
+    live.buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=4800)])
+    assert bus.baud == 4800
+
+
+def test_a_unit_that_is_not_configured_is_passed_over(live: LiveState) -> None:
+    live.buses["dry-end"].apply([reading(99), reading(1, 5)])
+    found = live.buses["dry-end"].units[1].reading
+    assert found is not None
+    assert found.commanded == 5
+
+
+def test_a_snapshot_is_the_same_as_its_updates(live: LiveState) -> None:
+    present = snapshot()
+    other = LiveState([bus_settings()], 100.0)
+    live.buses["dry-end"].connect_worker(present)
+    other.buses["dry-end"].apply(updates_of(present))
+    assert live.buses["dry-end"].units == other.buses["dry-end"].units
+
+
+def test_a_lost_worker_leaves_the_readings_and_takes_the_trust(live: LiveState) -> None:
+    live.buses["dry-end"].connect_worker(snapshot())
+    live.buses["dry-end"].apply([UnitLink(unit=16, at=1.0, link="offline")])
+    live.buses["dry-end"].lose_worker(9.0)
+    bus = live.buses["dry-end"]
+    assert (bus.link, bus.figures) == (BusLink(at=9.0, link="closed", cause=NO_WORKER), None)
+    assert bus.units[1].reading is not None
+    assert [unit.link.link for unit in bus.units.values()] == ["stale", "stale", "offline"]
+
+
+def test_subscribers_get_every_change_until_they_leave(live: LiveState) -> None:
+    received: list[Sequence[Update]] = []
+    leave = live.buses["dry-end"].subscribe(Audience.STREAM, received.append)
+    update = [reading(1)]
+    live.buses["dry-end"].apply(update)
+    leave()
+    live.buses["dry-end"].apply([reading(1)])
+    assert received == [update]
+
+
+def test_subscribers_learn_of_a_report_in_the_order_of_their_audiences(live: LiveState) -> None:
+    learned: list[Audience] = []
+    for audience in reversed(Audience):
+        live.buses["dry-end"].subscribe(audience, lambda _, audience=audience: learned.append(audience))
+    live.buses["dry-end"].apply([reading(1)])
+    assert learned == list(Audience)
+
+
+def test_a_subscriber_that_fails_stops_no_other(live: LiveState) -> None:
+    def fail(updates: Sequence[Update]) -> None:
+        raise RuntimeError(updates)
+
+    received: list[Sequence[Update]] = []
+    live.buses["dry-end"].subscribe(Audience.BROWSERS, fail)
+    live.buses["dry-end"].subscribe(Audience.STREAM, received.append)
+    update = [reading(1, 5)]
+    live.buses["dry-end"].apply(update)
+    assert received == [update]

@@ -31,7 +31,6 @@ from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
 from tests.for_each import for_each
 
 API = "/api/v1/shifts"
-SET_SPEED = Message("event_set_speed")
 ANN = Person("ann", Role.ENGINEER, "demo")
 
 
@@ -302,12 +301,9 @@ async def test_a_note_of_a_shift_that_is_over_states_its_time(house: House) -> N
     ("start", "status", "code"),
     [
         ("yesterday", 422, "invalid"),
-        ("2026-11-22T06:00:00", 422, "invalid"),
         ("2026-11-22T05:00:01Z", 404, "unknown_shift"),
-        ("2199-11-22T05:00:00Z", 404, "unknown_shift"),
         ("0001-01-01T00:00:00Z", 404, "unknown_shift"),
         ("9999-12-31T23:59:59-12:00", 404, "unknown_shift"),
-        ("1e300", 422, "invalid"),
     ],
 )
 async def test_a_start_that_is_none_is_refused(house: House, start: str, status: int, code: str) -> None:

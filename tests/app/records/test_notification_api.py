@@ -63,13 +63,6 @@ def state(house: House) -> str:
     return house.services.buses[BUS][BusAlarms].list.alarms[f"{BUS}.1.estop_active"].facts.state
 
 
-async def test_only_an_engineer_sees_addresses(house: House) -> None:
-    operator = await house.program(Role.OPERATOR)
-    for path in (API, f"{API}/deliveries", "/notifications"):
-        assert (await operator.get(path)).status_code == 403
-    assert (await operator.post(f"{API}/test", json={"endpoint": MAIL})).status_code == 403
-
-
 async def test_a_test_message_is_sent_and_its_result_given(house: House, mail: PlayedMailServer) -> None:
     engineer = await house.program(Role.ENGINEER)
     sent = (await engineer.post(f"{API}/test", json={"endpoint": MAIL})).json()["delivery"]
@@ -115,9 +108,8 @@ async def test_nothing_is_notified_in_a_maintenance(house: House, mail: PlayedMa
     assert "Notification resumed, maintenance ended" in whats
 
 
-@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
-async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
-    notification, person = house.services[Notification], Person("vic", role, "session")
+async def test_a_caller_without_a_route_needs_the_role_too(house: House) -> None:
+    notification, person = house.services[Notification], Person("vic", Role.OPERATOR, "session")
     await notification.maintenance.begin(Person("ann", Role.ENGINEER, "session"), BUS, 5, "felt")
     (row,), events = notification.maintenance.present(), await house.events("notification")
     for act in (

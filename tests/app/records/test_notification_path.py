@@ -190,15 +190,6 @@ async def test_the_places_that_an_earlier_version_stored_for_each_bus_are_one(pa
     assert [row["source"] for row in stored] == [""]
 
 
-async def test_a_site_in_german_writes_german(tmp_path: Path, servers: Any) -> None:
-    mail, hooks = servers
-    async with complete_app(tmp_path, notify=notify(mail, hooks, tmp_path), language="de") as house:
-        await played_line(house.services)
-        await Path_(house, mail, hooks).estop(active=True)
-        subject = (await mail.mail())["Subject"]
-        assert subject == "dringend: Unwind · Not-Halt"
-
-
 async def test_a_refused_message_is_tried_again_and_fails_as_an_alarm(
     path: Path_, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -290,16 +281,6 @@ async def test_an_escalation_goes_to_people_on_duty(
             "chief@plant",
             "Not acknowledged, urgent: Unwind · Emergency stop",
         )
-
-
-async def test_a_test_message_goes_the_same_way(path: Path_) -> None:
-    dispatcher = path.house.services[Notification].dispatcher
-    for endpoint in dispatcher.plan.endpoints.values():
-        delivery = await dispatcher.test(endpoint)
-        assert delivery is not None
-        assert delivery.state == "delivered"
-    assert (await path.mail.mail())["Subject"] == "Mill 7: test of notification"
-    assert (await path.hooks.body())["kind"] == "test"
 
 
 async def test_each_address_gets_one_heartbeat_a_day(

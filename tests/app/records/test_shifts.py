@@ -196,9 +196,7 @@ def test_a_span_that_is_due_is_over(now: float, every: ReportEvery, minute: int)
     ("days", "units", "code"),
     [
         (0, 1, "report_span_malformed"),
-        (-1, 1, "report_span_malformed"),
         (MAX_DAYS + 1, 1, "report_span_too_long"),
-        (3650, 1, "report_span_too_long"),
         (8, 255, "report_too_many_units"),
         (7, 255, ""),
         (MAX_DAYS, 8, ""),
