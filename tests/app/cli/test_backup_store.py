@@ -79,17 +79,10 @@ def test_a_copy_taken_while_it_is_written_holds_what_was_there(tmp_path: Path) -
     writer.enqueue((BUS.name, polls(NOON + 30, NOON + 60)))
     writer.close()
     assert seen(data) == 300
-    assert read_backup(tmp_path / "one.tar", data, keys_in(tmp_path)).names == [
-        "history.db",
-        "lineside.db",
-    ]
-    assert seen(data) == 150
+    for into in (data, tmp_path / "elsewhere"):
+        names = read_backup(tmp_path / "one.tar", into, keys_in(tmp_path)).names
+        assert (names, seen(into)) == (["history.db", "lineside.db"], 150)
     assert (data / "history.db.before-restore").exists()
-    assert read_backup(tmp_path / "one.tar", tmp_path / "elsewhere", keys_in(tmp_path)).names == [
-        "history.db",
-        "lineside.db",
-    ]
-    assert seen(tmp_path / "elsewhere") == 150
 
 
 def test_an_open_store_is_not_replaced(tmp_path: Path) -> None:
@@ -102,8 +95,7 @@ def test_an_open_store_is_not_replaced(tmp_path: Path) -> None:
     read_backup(tmp_path / "one.tar", tmp_path, keys_in(tmp_path))
 
 
-@pytest.mark.parametrize("damage", ["cut", "other", "changed", "unsound"])
-def test_a_damaged_backup_changes_nothing(tmp_path: Path, damage: str) -> None:
+def test_a_damaged_backup_changes_nothing(tmp_path: Path) -> None:
     data = tmp_path / "data"
     shelf = Shelf(data / "history.db")
     shelf.keep(polls(NOON, NOON + 10))
@@ -111,32 +103,24 @@ def test_a_damaged_backup_changes_nothing(tmp_path: Path, damage: str) -> None:
     backup = tmp_path / "one.tar"
     write_backup(data, backup)
     content = backup.read_bytes()
-    if damage == "cut":
-        backup.write_bytes(content[: len(content) // 2])
-    elif damage == "other":
-        backup.write_bytes(b"something else " * 1000)
-    elif damage == "changed":
-        backup.write_bytes(content.replace(b"SQLite format 3", b"sqlite format 3"))
-    else:
-        with tarfile.open(backup, "w") as archive:
-            (tmp_path / "manifest.json").write_text(json.dumps({"nothing": 1}))
-            archive.add(tmp_path / "manifest.json", "manifest.json")
-    with pytest.raises(StoreError):
-        read_backup(backup, data, keys_in(tmp_path))
-    assert seen(data) == 50
-
-
-def test_nothing_is_written_over(tmp_path: Path) -> None:
-    Database(tmp_path / "lineside.db").close()
-    (tmp_path / "one.tar").write_text("mine")
-    with pytest.raises(StoreError, match="exists"):
-        write_backup(tmp_path, tmp_path / "one.tar")
-    assert (tmp_path / "one.tar").read_text() == "mine"
-    with pytest.raises(StoreError, match="no store"):
-        write_backup(tmp_path / "empty", tmp_path / "two.tar")
+    with tarfile.open(tmp_path / "unsound.tar", "w") as archive:
+        (tmp_path / "manifest.json").write_text(json.dumps({"nothing": 1}))
+        archive.add(tmp_path / "manifest.json", "manifest.json")
+    for damaged in (
+        content[: len(content) // 2],
+        b"something else " * 1000,
+        content.replace(b"SQLite format 3", b"sqlite format 3"),
+        (tmp_path / "unsound.tar").read_bytes(),
+    ):
+        backup.write_bytes(damaged)
+        with pytest.raises(StoreError):
+            read_backup(backup, data, keys_in(tmp_path))
+        assert seen(data) == 50
 
 
 def test_the_commands_print_one_line(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="no store"):
+        write_backup(tmp_path / "empty", tmp_path / "two.tar")
     config = tmp_path / "lineside.toml"
     config.write_text('[site]\nname = "Test"\n[server]\ndata = "data"\n')
     Database(tmp_path / "data" / "lineside.db").close()

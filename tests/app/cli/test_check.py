@@ -68,9 +68,8 @@ def test_a_bus_without_units_is_reported(config: Path) -> None:
     assert "'lineside scan --port /dev/ttyUSB99' lists the addresses that respond" in result.stdout
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", '[site]\nname = "Mill 7"\n'])
-def test_without_a_bus_it_prints_what_to_write(config: Path, text: str) -> None:
-    result = run(config, text)
+def test_without_a_bus_it_prints_what_to_write(config: Path) -> None:
+    result = run(config, '[site]\nname = "Mill 7"\n')
     assert result.exit_code == 1
     assert "lineside: there is no [[bus]]" in result.stderr
     assert "lineside init" in result.stderr
@@ -83,17 +82,13 @@ def test_without_a_bus_it_prints_what_to_write(config: Path, text: str) -> None:
             bus("socket://a..b:4001"),
             "bus dry-end: socket://a..b:4001 names a host that this machine does not know",
         ),
-        (bus("rfc2217://a..b:4001"), "names a host that this machine does not know"),
         (bus("/dev/null"), "bus dry-end: /dev/null is not a serial port"),
-        (bus("/etc/passwd"), "/etc/passwd is not a serial port"),
         ('[server]\nhost = "a..b"\n' + bus("/dev/ttyUSB99"), "[server]: there is no host 'a..b'"),
         ('[server]\nhost = "192.0.2.1"\n' + bus("/dev/ttyUSB99"), "192.0.2.1 is no address of this machine"),
-        ('[server]\ndata = "/etc/passwd"\n' + bus("/dev/ttyUSB99"), "data: /etc/passwd is no folder"),
         ('[server]\ndata = "/etc/passwd/x"\n' + bus("/dev/ttyUSB99"), "data: /etc/passwd is no folder"),
         # Root may write there, and still cannot.
         ('[server]\ndata = "/proc/x/y"\n' + bus("/dev/ttyUSB99"), "may not create /proc/x/y"),
         ('[server]\ndata = "/proc"\n' + bus("/dev/ttyUSB99"), "may not write to /proc"),
-        (f'[server]\ndata = "{"x" * 300}"\n' + bus("/dev/ttyUSB99"), "may not create"),
         (bus("/dev/ttyUSB99") + '[audit]\nanchor = "/proc/x"\n', "may not write /proc/x"),
         (bus("/dev/ttyUSB99") + '[audit]\nkey_file = "/proc/x"\n', "may not make /proc/x"),
     ],
@@ -266,7 +261,6 @@ def test_it_prints_where_the_key_and_the_anchor_of_the_audit_log_are(config: Pat
         ('key_file = "absent/lineside.key"', "absent/lineside.key"),
         ('key_file = "lineside.toml"', "can be read or written by others"),
         ('anchor = "absent/head.anchor"', "may not write"),
-        ('anchor = "."', "is no file"),
         ('anchor = "/dev/null"', "is no file"),
     ],
 )

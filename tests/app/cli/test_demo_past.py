@@ -6,7 +6,6 @@ import asyncio
 from collections import Counter
 from contextlib import closing
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
@@ -27,15 +26,16 @@ from bus.instants import UnixTime, unix_now
 from bus.simulator.plant import DemoLine, demo_line
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def line() -> DemoLine:
     return demo_line(8)
 
 
-@pytest.fixture
-def settings(tmp_path: Path, line: DemoLine) -> Settings:
-    file = tmp_path / "lineside.toml"
-    file.write_text(configuration(tmp_path / "line", 8000, line.settings), encoding="utf-8")
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory, line: DemoLine) -> Settings:
+    folder = tmp_path_factory.mktemp("demo")
+    file = folder / "lineside.toml"
+    file.write_text(configuration(folder / "line", 8000, line.settings), encoding="utf-8")
     settings = load(file)
     write_past(settings, line)
     return settings

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 
-from app.cli import install_service
+from app.cli import cli, install_service
 from app.cli.findings import service
 from app.cli.install_service import (
     ServiceUnit,
@@ -27,7 +28,6 @@ from app.cli.install_service import (
 )
 from app.settings import Settings
 from bus.errors import LinesideError
-from tests import fork_server
 from tests.test_service_unit import UNITS
 
 
@@ -187,14 +187,17 @@ def test_a_step_that_fails_is_named(tmp_path: Path) -> None:
         run(["no-such-program-here"])
 
 
+def called(*words: str) -> Result:
+    return CliRunner().invoke(cli, ["install-service", *words])
+
+
 def test_a_dry_run_prints_the_unit_and_the_steps_and_changes_nothing(tmp_path: Path) -> None:
     config = tmp_path / "lineside.toml"
-    done = fork_server.run("install-service", "--dry-run", "--json", "--config", config)
-    printed = json.loads(done.stdout)
+    printed = json.loads(called("--dry-run", "--json", "--config", str(config)).stdout)
     assert f"--config {config}" in printed["unit"]
     assert printed["steps"][-1] == "systemctl restart lineside.service"
     assert not config.exists()
-    removed = fork_server.run("install-service", "--dry-run", "--remove").stdout
+    removed = called("--dry-run", "--remove").stdout
     assert "# systemctl disable --now lineside.service" in removed
 
 
@@ -202,11 +205,11 @@ def test_a_wrong_configuration_is_stated_and_nothing_installed(tmp_path: Path) -
     config = tmp_path / "lineside.toml"
     config.write_text('[[bus]]\nname = "dry-end"\nport = "/dev/ttyUSB0"\nbaud = 1200000\n')
     for words in ((), ("--dry-run",), ("--dry-run", "--json")):
-        done = fork_server.run("install-service", *words, "--config", config)
-        assert (done.returncode, done.stdout) == (1, ""), done.stderr
+        done = called(*words, "--config", str(config))
+        assert (done.exit_code, done.stdout) == (1, ""), done.stderr
         assert f"{config}:4: " in done.stderr
-    removed = fork_server.run("install-service", "--dry-run", "--remove", "--config", config)
-    assert (removed.returncode, removed.stderr) == (0, "")
+    removed = called("--dry-run", "--remove", "--config", str(config))
+    assert (removed.exit_code, removed.stderr) == (0, "")
 
 
 def test_without_systemd_or_with_a_bad_user_it_is_refused(
@@ -221,5 +224,5 @@ def test_without_systemd_or_with_a_bad_user_it_is_refused(
         install_service.refuse_without_systemd()
     with pytest.raises(LinesideError, match="home folder"):
         install_service.refuse_elsewhere(Path("/home/anna/venv/bin/lineside"))
-    done = fork_server.run("install-service", "--user", "a b; rm")
-    assert (done.returncode, "no name of a user" in done.stderr) == (2, True)
+    done = called("--user", "a b; rm")
+    assert (done.exit_code, "no name of a user" in done.stderr) == (2, True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import httpx
 import pytest
 from click.testing import CliRunner
 
@@ -13,7 +12,7 @@ from app.cli import check
 from app.cli.install_service import unit_of
 from app.settings import load
 from tests import fork_server
-from tests.app.cli.test_serve import children_of, started
+from tests.app.cli.test_serve import buses_at, children_of, command, started, viewer_token
 from tests.e2e.site import end, eventually
 
 BUS = (
@@ -33,16 +32,13 @@ def write(config: Path, *buses: tuple[str, str, str]) -> None:
 
 def test_the_server_starts_no_worker_and_takes_the_one_elsewhere(config: Path) -> None:
     write(config, ("dry-end", "/dev/ttyUSB0", "remote"), ("wet-end", str(config.parent / "absent"), "server"))
-    words = ["token", "create", "cabinet", "--role", "worker", "--bus", "dry-end", "--config", config]
-    token = fork_server.run(*words).stdout.strip()
-    viewer = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
+    words = ("token", "create", "cabinet", "--role", "worker", "--bus", "dry-end")
+    token, viewer = command(*words, config=config).stdout.strip(), viewer_token(config)
 
     with started("serve", "--config", str(config)) as (process, url):
 
         def linked() -> list[bool]:
-            headers = {"Authorization": f"Bearer {viewer}"}
-            response = httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False, timeout=60)
-            return [bus["worker"] for bus in response.json()["buses"]]
+            return [bus["worker"] for bus in buses_at(url, viewer)]
 
         eventually(lambda: linked() == [False, True], "the server's own worker is linked")
         assert len(children_of(process.pid)) == 1

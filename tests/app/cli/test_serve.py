@@ -19,10 +19,11 @@ from typing import Any
 
 import httpx
 import pytest
+from click.testing import CliRunner, Result
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from app.cli import hosting
+from app.cli import cli, hosting
 from app.cli.demo import CHOOSE
 from app.cli.hosting import MAX_MISSED, MAX_MISSED_AT_START, HostingError, Watchdog, only_one
 from app.cli.starting import NEXT_PORTS, ListenError, listen, listen_from
@@ -115,16 +116,31 @@ def only_child(process: Process) -> int:
         pytest.param(signal.SIGTERM, 5.0, marks=pytest.mark.soak),
     ],
 )
-def test_it_ends_completely(config: Path, number: int, within_s: float) -> None:
+def test_it_ends_completely_also_with_an_open_page(config: Path, number: int, within_s: float) -> None:
     """The installed command does by SIGTERM in `tests.app.system.test_configuration_restart`."""
+    token = viewer_token(config)
     with started("serve", "--config", str(config)) as (process, url):
         assert is_serving(url)
         worker = only_child(process)
-        process.send_signal(number)
-        assert process.wait(timeout=within_s) == 0
+        headers = {"Authorization": f"Bearer {token}"}
+        address = url.replace("http", "ws", 1) + "/live"
+        with connect(address, additional_headers=headers, proxy=None) as page:
+            assert "snapshot" in str(page.recv())
+            process.send_signal(number)
+            assert process.wait(timeout=within_s) == 0
+            with pytest.raises(ConnectionClosed):
+                read_to_the_end(page)
         assert not is_alive(worker)
-    proof = fork_server.run("audit", "verify", "--config", config)
-    assert proof.returncode == 0, proof.stderr
+    assert command("audit", "verify", config=config).exit_code == 0
+
+
+def command(*words: str, config: Path) -> Result:
+    """Run a command in this process."""
+    return CliRunner().invoke(cli, [*words, "--config", str(config)])
+
+
+def viewer_token(config: Path) -> str:
+    return command("token", "create", "t", "--role", "viewer", config=config).stdout.strip()
 
 
 def test_a_stop_does_not_wait_for_the_code_that_is_still_read(
@@ -155,19 +171,6 @@ def test_a_stop_does_not_wait_for_the_code_that_is_still_read(
     eventually(lambda: happened == ["workers ended", "host ended"], "the thread of the import ends")
 
 
-def test_an_open_page_does_not_hold_the_end_up(config: Path) -> None:
-    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
-    with started("serve", "--config", str(config)) as (process, url):
-        address = url.replace("http", "ws", 1) + "/live"
-        headers = {"Authorization": f"Bearer {token}"}
-        with connect(address, additional_headers=headers, proxy=None) as page:
-            assert "snapshot" in str(page.recv())
-            process.terminate()
-            assert process.wait(timeout=PATIENCE_S) == 0
-            with pytest.raises(ConnectionClosed):
-                read_to_the_end(page)
-
-
 def read_to_the_end(page: ClientConnection) -> None:
     while True:
         page.recv()
@@ -187,17 +190,19 @@ def test_a_worker_that_dies_is_started_again_and_none_outlives_a_killed_parent(c
         eventually(lambda: not any(map(is_alive, second)), "the worker ends too")
 
 
+def buses_at(url: str, token: str) -> Any:
+    headers = {"Authorization": f"Bearer {token}"}
+    line = httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False, timeout=PATIENCE_S)
+    return line.json()["buses"]
+
+
 @pytest.mark.soak
 def test_a_worker_that_is_frozen_is_replaced(config: Path) -> None:
-    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
+    token = viewer_token(config)
     with started("serve", "--config", str(config)) as (process, url):
 
         def is_linked() -> bool:
-            headers = {"Authorization": f"Bearer {token}"}
-            line = httpx.get(
-                f"{url}/api/v1/line", headers=headers, trust_env=False, timeout=PATIENCE_S
-            ).json()
-            return bool(line["buses"][0]["worker"])
+            return bool(buses_at(url, token)[0]["worker"])
 
         eventually(is_linked, "the worker is linked")
         frozen = only_child(process)
@@ -210,18 +215,11 @@ def test_a_worker_that_is_frozen_is_replaced(config: Path) -> None:
 def test_the_app_knows_its_worker_reports_the_missing_port_and_shares_its_data_with_no_other(
     config: Path,
 ) -> None:
-    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
+    token = viewer_token(config)
     with started("serve", "--config", str(config), forks_workers=False) as (process, url):
-
-        def bus() -> Any:
-            headers = {"Authorization": f"Bearer {token}"}
-            return httpx.get(
-                f"{url}/api/v1/line", headers=headers, trust_env=False, timeout=PATIENCE_S
-            ).json()["buses"][0]
-
-        eventually(lambda: bus()["worker"], "the worker is linked")
-        eventually(lambda: "absent" in bus()["link_cause"]["detail"], "the cause names the port")
-        assert bus()["link"] == "closed"
+        eventually(lambda: buses_at(url, token)[0]["worker"], "the worker is linked")
+        eventually(lambda: "absent" in buses_at(url, token)[0]["link_cause"]["detail"], "it names the port")
+        assert buses_at(url, token)[0]["link"] == "closed"
         harmless = {"LINESIDE_PARENT", "PYDANTIC_DISABLE_PLUGINS", "COLUMNS", "LINES"}
         assert shown_by_ps(only_child(process)) <= harmless
         other = fork_server.run("serve", "--config", config)
@@ -241,9 +239,8 @@ def test_a_busy_port_prints_one_line_and_exits_with_1(config: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         config.write_text(config.read_text().replace("port = 0", f"port = {port}"))
-        done = fork_server.run("serve", "--config", config)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.count("\n") == 1
+        done = command("serve", config=config)
+    assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (1, "", 1)
     assert f"port {port} of 127.0.0.1 is in use by another program" in done.stderr
     assert f"set port in [server] of {config}" in done.stderr
 
@@ -251,16 +248,21 @@ def test_a_busy_port_prints_one_line_and_exits_with_1(config: Path) -> None:
 def test_a_demo_on_a_busy_port_names_its_option() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        done = fork_server.run("demo", "--port", port)
+        done = CliRunner().invoke(cli, ["demo", "--port", port])
         # These tests may run under another make, which passes its options down.
         environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
-        command = ["make", "--no-print-directory", "demo", f"PORT={port}"]
-        made = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+        make = ["make", "--no-print-directory", "demo"]
+        made, wrong = (
+            subprocess.run([*make, f"PORT={each}"], capture_output=True, text=True, cwd=ROOT, env=environment)
+            for each in (port, "80x")
+        )
+    assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (1, "", 1)
     assert "lineside demo --port 8100, or make demo PORT=8100" in done.stderr
     assert made.returncode != 0
     assert made.stderr.startswith(f"Port {port} is in use."), "before everything else that make would do"
     assert "make demo PORT=8100" in made.stderr
+    assert wrong.returncode != 0
+    assert wrong.stderr.startswith("PORT=80x is no number")
 
 
 def test_a_demo_without_a_port_takes_the_next_that_is_free() -> None:
@@ -270,17 +272,6 @@ def test_a_demo_without_a_port_takes_the_next_that_is_free() -> None:
             assert first < found.getsockname()[1] <= first + NEXT_PORTS
     with pytest.raises(ListenError, match="no address of this machine"):
         listen_from("192.0.2.1", first, CHOOSE)
-
-
-@pytest.mark.parametrize("port", ["abc", "80x"])
-def test_make_refuses_a_word_as_a_port(port: str) -> None:
-    environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
-    made = subprocess.run(
-        ["make", "free-port", f"PORT={port}"], capture_output=True, text=True, cwd=ROOT, env=environment
-    )
-    assert made.returncode != 0
-    assert f"PORT={port} is no number" in made.stderr
-    assert "in use" not in made.stderr
 
 
 @pytest.mark.parametrize(
@@ -314,18 +305,15 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
 
 
 def test_a_store_that_is_missing_is_not_replaced(config: Path, tmp_path: Path) -> None:
-    fork_server.run("audit", "rotate-key", "--config", config)  # makes the store
+    command("audit", "rotate-key", config=config)  # makes the store
     former = (tmp_path / "lineside.audit.key").read_bytes()
     (tmp_path / "data").rename(tmp_path / "unmounted")
     for words in (("serve",), ("user", "list"), ("audit", "rotate-key")):
-        done = fork_server.run(*words, "--config", config)
-        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+        done = command(*words, config=config)
+        assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (1, "", 1)
         assert f"the store {tmp_path / 'data' / 'lineside.db'} is missing" in done.stderr
         assert "lineside serve --new" in done.stderr
     assert not (tmp_path / "data").exists()
-    (tmp_path / "unmounted").rename(tmp_path / "data")
-    with started("serve", "--config", str(config)) as (_, url):
-        assert is_serving(url)
     assert (tmp_path / "lineside.audit.key").read_bytes() == former
 
 
@@ -336,17 +324,16 @@ def test_a_new_site_is_begun_by_command_and_recorded(
     config: Path, tmp_path: Path, content: bytes | None
 ) -> None:
     store = tmp_path / "data" / "lineside.db"
-    fork_server.run("audit", "rotate-key", "--config", config)  # makes the store
-    there = fork_server.run("serve", "--new", "--config", config)
-    assert (there.returncode, there.stderr.count("\n")) == (1, 1)
+    command("audit", "rotate-key", config=config)  # makes the store
+    there = command("serve", "--new", config=config)
+    assert (there.exit_code, there.stderr.count("\n")) == (1, 1)
     assert "holds a site" in there.stderr
     store.unlink()
     if content is not None:
         store.write_bytes(content)
     with started("serve", "--new", "--config", str(config)) as (_, url):
         assert is_serving(url)
-    proof = fork_server.run("audit", "verify", "--config", config)
-    assert proof.returncode == 0, proof.stderr
+    assert command("audit", "verify", config=config).exit_code == 0
     with closing(sqlite3.connect(store)) as connection:
         [(first, _), *_] = connection.execute("SELECT what, id FROM events ORDER BY id").fetchall()
     assert "new site begun with --new" in first
@@ -357,13 +344,13 @@ def test_a_new_site_is_begun_by_command_and_recorded(
 
 def test_a_new_site_does_not_begin_with_the_anchor_of_the_former(config: Path, tmp_path: Path) -> None:
     config.write_text(config.read_text() + '[audit]\nanchor = "./worm.anchor"\n')
-    fork_server.run("audit", "rotate-key", "--config", config)  # makes the store
+    command("audit", "rotate-key", config=config)  # makes the store
     (tmp_path / "worm.anchor").write_text("of the former site")
     (tmp_path / "data" / "lineside.db").unlink()
-    verified = fork_server.run("audit", "verify", "--config", config)
-    assert (verified.returncode, "lineside serve --new" in verified.stderr) == (1, True)
-    done = fork_server.run("serve", "--new", "--config", config)
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    verified = command("audit", "verify", config=config)
+    assert (verified.exit_code, "lineside serve --new" in verified.stderr) == (1, True)
+    done = command("serve", "--new", config=config)
+    assert (done.exit_code, done.stderr.count("\n")) == (1, 1)
     assert "is of the former site" in done.stderr
     assert (tmp_path / "worm.anchor").read_text() == "of the former site"
     assert not (tmp_path / "data" / "lineside.db").exists()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import shutil
 from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from pathlib import Path
@@ -13,13 +12,20 @@ from typing import Any
 
 import httpx
 import pytest
+from click.testing import CliRunner
+from structlog.testing import capture_logs
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.sync.client import connect as plain_connect
 
+from app.cli import cli
+from app.core.web.access import Role
+from app.settings import ServerSettings
 from tests import fork_server
+from tests.app.complete_app import complete_app
 from tests.app.served_tls import CONFIG, PATIENCE_S, Served, seen, served
 from tests.certificates import certificates, renew
-from tests.e2e.site import end, eventually, people
+from tests.e2e.site import end, eventually
+from tests.for_each import for_each
 from tests.free_port import free_port
 
 SOCKETS = 200
@@ -34,12 +40,11 @@ def test_https_its_own_worker_and_a_hint_for_http(tmp_path: Path) -> None:
         eventually(lambda: "linked to the dashboard" in made.log(), "its own worker connects")
         plain = httpx.get(f"http://localhost:{made.port}/", trust_env=False, timeout=PATIENCE_S)
         assert (plain.status_code, plain.json()["code"]) == (400, "tls_required")
-        status = fork_server.run("status", "--config", tmp_path / "lineside.toml")
+        status = CliRunner().invoke(cli, ["status", "--config", str(tmp_path / "lineside.toml")])
         assert f"serving at https://127.0.0.1:{made.port}" in status.stdout
         own = own_port(made)
-        assert (
-            httpx.get(f"http://127.0.0.1:{own}/login", trust_env=False, timeout=PATIENCE_S).status_code == 400
-        )
+        login = f"http://127.0.0.1:{own}/login"
+        assert httpx.get(login, trust_env=False, timeout=PATIENCE_S).status_code == 400
         with pytest.raises(Exception, match="403"), plain_connect(f"ws://127.0.0.1:{own}/live"):
             pass
 
@@ -142,65 +147,47 @@ def test_workers_elsewhere_must_show_a_certificate(tmp_path: Path) -> None:
             seen(log, "has not signed it")
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
+@for_each(
+    ("app", "options", "words"),
     [
-        (("--certificate", "a.pem"), "--certificate and --key are given together"),
-        (("--ca", "none.pem"), "none.pem cannot be read: No such file or directory"),
-        (("--ca", "server.key"), "server.key holds no certificate"),
-        (("--certificate", "server.pem", "--key", "worker.key"), "is not that of the certificate"),
+        ("https://localhost:1", ("--certificate", "a.pem"), "--certificate and --key are given together"),
+        ("https://localhost:1", ("--ca", "none.pem"), "none.pem cannot be read: No such file or directory"),
+        ("https://localhost:1", ("--ca", "server.key"), "server.key holds no certificate"),
+        (
+            "https://localhost:1",
+            ("--certificate", "server.pem", "--key", "worker.key"),
+            "is not that of the certificate",
+        ),
+        ("http://localhost:1", ("--ca", "ca.pem"), "begin it with https://"),
     ],
 )
-def test_files_that_a_worker_cannot_use(tmp_path: Path, options: tuple[str, ...], words: str) -> None:
+def test_files_that_a_worker_cannot_use(folder: Path, app: str, options: tuple[str, ...], words: str) -> None:
+    assert folder
+    call = ["worker", "--bus", "dry-end", "--app", app, "--token", "x" * 43, "--config", "lineside.toml"]
+    ended = CliRunner().invoke(cli, [*call, *options])
+    assert (ended.exit_code, words in ended.stderr) == (2, True), ended.stderr
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the call, with certificates and a configuration."""
     certificates(tmp_path)
-    (tmp_path / "lineside.toml").write_text(CONFIG.format(port=0, more=""))
-    ended = fork_server.run(
-        *("worker", "--bus", "dry-end", "--app", "https://localhost:1", "--token", "x" * 43),
-        *options,
-        cwd=tmp_path,
-    )
-    assert (ended.returncode, words in ended.stderr) == (2, True), ended.stderr
+    (tmp_path / "lineside.toml").write_text(CONFIG.format(port=free_port(), more=""))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
-def test_files_of_tls_for_a_link_in_clear(tmp_path: Path) -> None:
-    (tmp_path / "lineside.toml").write_text(CONFIG.format(port=0, more=""))
-    words = ("worker", "--bus", "dry-end", "--app", "http://localhost:1", "--token", "x" * 43, "--ca", "a")
-    ended = fork_server.run(*words, cwd=tmp_path)
-    assert (ended.returncode, "begin it with https://" in ended.stderr) == (2, True)
+def test_a_certificate_that_cannot_be_used_stops_the_start(folder: Path) -> None:
+    config = folder / "lineside.toml"
+    config.write_text(config.read_text().replace("server.pem", "worker.pem"))
+    ended = fork_server.run("serve", "--config", config)
+    assert (ended.returncode, "is not that of the certificate" in ended.stderr) == (2, True), ended.stderr
 
 
-@pytest.mark.parametrize(
-    ("certificate", "words"),
-    [("none", "cannot be read"), ("worker", "is not that of the certificate")],
-)
-def test_a_certificate_that_cannot_be_used_stops_the_start(
-    tmp_path: Path, certificate: str, words: str
-) -> None:
-    certificates(tmp_path)
-    config = tmp_path / "lineside.toml"
-    text = CONFIG.format(port=free_port(), more="").replace("server.pem", f"{certificate}.pem")
-    config.write_text(text)
-    for command in ("check", "serve"):
-        ended = fork_server.run(command, "--config", config)
-        assert ended.returncode != 0
-        assert words in ended.stderr
-
-
-def test_a_server_in_clear_for_other_machines_warns(tmp_path: Path) -> None:
-    config, port = tmp_path / "lineside.toml", free_port()
-    config.write_text(f'[server]\nhost = "0.0.0.0"\nport = {port}\n')
-    data, tokens = people()
-    shutil.copytree(data, tmp_path / "data")
-    log = tmp_path / "serve.log"
-    with log.open("wb") as file:
-        server = fork_server.start("serve", "--config", config, stdout=file, stderr=file)
-    try:
-        eventually(lambda: "Lineside: http://" in log.read_text(), "it serves")
-        assert "cross the network in clear" in log.read_text()
-        headers = {"Authorization": f"Bearer {tokens['admin']}"}
-        page = httpx.get(
-            f"http://127.0.0.1:{port}/users", headers=headers, trust_env=False, timeout=PATIENCE_S
-        )
-        assert "cross the network in clear" in page.text
-    finally:
-        end(server)
+async def test_a_server_in_clear_for_other_machines_warns(tmp_path: Path) -> None:
+    server = ServerSettings(data=tmp_path / "data", host="0.0.0.0")
+    with capture_logs() as logs:
+        async with complete_app(tmp_path, server=server) as house:
+            page = await (await house.signed_in(Role.ADMIN)).get("/users")
+    assert "cross the network in clear" in str(logs)
+    assert "cross the network in clear" in page.text

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import pytest
 from click.testing import CliRunner
 
 from app.cli import wire as scan
@@ -59,26 +58,15 @@ def test_as_the_manual_reads() -> None:
     assert (unit["parameters"], unit["remarks"]) == (list(range(1, 41)), [])
 
 
-@pytest.mark.parametrize(
-    ("option", "key", "value"),
-    [
-        ("--checksum-10h", "checksum_10h", "twice"),
-        ("--parameter-numbers", "parameter_numbers", "bcd"),
-        ("--estop-healthy", "estop_healthy", 0),
-    ],
-)
-def test_one_that_decides_otherwise(option: str, key: str, value: str | int) -> None:
-    response = scanned(option, str(value))
-    assert response["settings"][key] == value
-    assert any(f"set {key} = {json.dumps(value)}" in remark for remark in response["units"][0]["remarks"])
-
-
-@pytest.mark.parametrize("width", [1, 2, 4])
-def test_one_width_for_every_parameter(width: int) -> None:
-    response = scanned("--parameter-reply-bytes", str(width), "--last-parameter", "20")
+def test_one_that_decides_everything_otherwise() -> None:
+    otherwise = {"checksum_10h": "twice", "parameter_numbers": "bcd", "estop_healthy": 0}
+    options = [f"--{key.replace('_', '-')}={value}" for key, value in otherwise.items()]
+    response = scanned(*options, "--parameter-reply-bytes", "2", "--last-parameter", "20")
     (unit,) = response["units"]
-    assert unit["parameter_reply_bytes"] == [width]
-    assert response["settings"]["parameter_reply_bytes"] == width
+    for key, value in otherwise.items():
+        assert response["settings"][key] == value
+        assert any(f"set {key} = {json.dumps(value)}" in remark for remark in unit["remarks"])
+    assert (unit["parameter_reply_bytes"], response["settings"]["parameter_reply_bytes"]) == ([2], 2)
     assert unit["parameters"] == list(range(1, 21))
 
 
@@ -91,7 +79,8 @@ def test_a_unit_that_is_slower_than_it_is_allowed() -> None:
     assert "set turnaround_ms = " in response["remarks"][0]
 
 
-@pytest.mark.parametrize("wrong", [("--checksum-10h", "thrice"), ("--estop-healthy", "2")])
-def test_an_unknown_dialect_value(wrong: tuple[str, str]) -> None:
-    with simulated(*wrong) as port:
-        assert port == ""
+def test_an_impossible_call_prints_one_line() -> None:
+    assert CliRunner().invoke(scan.simulate, ["--checksum-10h", "thrice"]).exit_code == 2
+    done = fork_server.run("simulate", "--link", "/nonexistent/line")  # it would block signals here
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr.startswith("lineside: the link /nonexistent/line cannot be made")

@@ -8,9 +8,10 @@ import tarfile
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from app.cli import cli
 from app.cli.support_bundle import bundle, parts
-from tests import fork_server
 from tests.e2e.site import PASSWORD, add_people
 
 SECRETS = ("mail-secret-1", "hook-path-2", "hook-secret-3")
@@ -76,19 +77,12 @@ def test_it_has_no_secret_of_any_place(config: Path) -> None:
     assert json.loads(found["about.json"])["packages"]["fastapi"]
 
 
-def test_a_wrong_configuration_is_its_fault_and_nothing_of_its_text(config: Path) -> None:
-    config.write_text("[server]\npasword = 'mail-secret-1'\n")
-    found = contents(bundle(parts(config)))
-    assert "pasword" in found["configuration.txt"]
-    assert "mail-secret-1" not in "\n".join(found.values())
-
-
 @pytest.mark.parametrize(
     ("text", "place"),
     [
         ('[site]\npassword = "mail-secret-1\n', ":2: this is not TOML"),
         ('[[bus]]\nname = "dry-end"\nport = "ftp://user:mail-secret-1@host"\n', ":3: bus.port = …"),
-        ('[server]\nport = "mail-secret-1"\n', ":2: server.port = …"),
+        ("[server]\npasword = 'mail-secret-1'\n", "pasword"),
     ],
 )
 def test_the_text_at_a_fault_of_the_configuration_is_left_out(config: Path, text: str, place: str) -> None:
@@ -105,10 +99,10 @@ def test_a_url_has_neither_user_nor_password_in_any_part() -> None:
 
 def test_the_command_writes_a_private_file_and_no_other_and_overwrites_none(config: Path) -> None:
     out = config.parent / "support.tar.gz"
-    done = fork_server.run("support-bundle", "--config", config, "--out", out)
-    assert (done.returncode, str(out) in done.stdout) == (0, True), done.stderr
+    call = ["support-bundle", "--config", str(config), "--out", str(out)]
+    done = CliRunner().invoke(cli, call)
+    assert (done.exit_code, str(out) in done.stdout) == (0, True), done.stderr
     assert out.stat().st_mode & 0o077 == 0
     assert not (config.parent / "data").exists(), "reading makes nothing"
     before = out.read_bytes()
-    again = fork_server.run("support-bundle", "--config", config, "--out", out)
-    assert (again.returncode, out.read_bytes()) == (1, before)
+    assert (CliRunner().invoke(cli, call).exit_code, out.read_bytes()) == (1, before)

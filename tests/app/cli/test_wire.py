@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -202,10 +202,11 @@ def test_toml_is_a_part_of_a_configuration() -> None:
     assert (bus["port"], bus["baud"], [each["id"] for each in bus["unit"]]) == (port, 9600, [2])
 
 
-def test_a_port_that_is_not_there() -> None:
+def test_a_port_that_is_not_there_or_no_serial_port() -> None:
     result = run("/dev/no-such-port")
     assert result.exit_code == 1
     assert "lineside: /dev/no-such-port does not exist" in result.stderr
+    assert run(os.devnull).exit_code == 1
 
 
 def test_a_port_that_another_program_holds() -> None:
@@ -215,20 +216,12 @@ def test_a_port_that_another_program_holds() -> None:
     assert "is in use" in result.stderr
 
 
-def test_a_port_that_is_no_serial_port() -> None:
-    assert run(os.devnull).exit_code == 1
-
-
-@pytest.mark.parametrize("port", ["nonsense://x:1", "socket://x", ""])
-def test_a_port_that_cannot_be_named_so_is_wrong_use(port: str) -> None:
-    result = run(port)
-    assert result.exit_code == 2
-    assert "--port" in result.stderr
-
-
-@pytest.mark.parametrize("options", [["--baud", "19200"], ["--first", "7", "--last", "3"], ["--last", "256"]])
-def test_wrong_use(options: Sequence[str]) -> None:
-    assert run("/dev/no-such-port", *options).exit_code == 2
+def test_wrong_use() -> None:
+    for port in ("nonsense://x:1", "socket://x", ""):
+        result = run(port)
+        assert (result.exit_code, "--port" in result.stderr) == (2, True)
+    for options in (["--baud", "19200"], ["--first", "7", "--last", "3"], ["--last", "256"]):
+        assert run("/dev/no-such-port", *options).exit_code == 2
 
 
 def test_a_device_server_keeps_its_own_baud_rate() -> None:
@@ -256,57 +249,43 @@ def decoded(arguments: list[str], **given: str) -> Result:
     return CliRunner().invoke(command_line, ["decode", *arguments], **given)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        [MANUAL],
-        MANUAL.split(),
-        [MANUAL.replace(" ", "")],
-        [MANUAL.lower()],
-        ["0x" + MANUAL.replace(" ", "")],
-        ["0x" + MANUAL.replace(" ", ", 0x")],
-        [MANUAL.replace(" ", "\n")],
-        ["[" + MANUAL.replace(" ", "][") + "]"],
-        ["0X10,0X02;04:82-0000-0210-1010-0368".replace("-", " ")],
-    ],
-)
-def test_hex_in_many_spellings(arguments: list[str]) -> None:
-    result = decoded(["--json", *arguments])
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout) == JSON_OF_MANUAL
+def test_hex_in_many_spellings() -> None:
+    for text in (
+        MANUAL.replace(" ", ""),
+        MANUAL.lower(),
+        "0x" + MANUAL.replace(" ", ""),
+        "0x" + MANUAL.replace(" ", ", 0x"),
+        MANUAL.replace(" ", "\n"),
+        "[" + MANUAL.replace(" ", "][") + "]",
+        "0X10,0X02;04:82-0000-0210-1010-0368".replace("-", " "),
+    ):
+        assert parse_hex(text) == bytes.fromhex(MANUAL)
+    for bad in ("xyz", "1", "10 0", "10 02 0g"):
+        with pytest.raises(CallerError, match="is not hex"):
+            parse_hex(bad)
 
 
-def test_words() -> None:
+def test_words_and_the_same_for_programs_as_arguments_and_on_standard_input() -> None:
     result = decoded([MANUAL])
     assert result.stdout == f"{MANUAL}\n    unit 4: set speed (staged) 528\n"
+    for result in (decoded(["--json", *MANUAL.split()]), decoded(["--json", "-"], input=MANUAL + "\n")):
+        assert json.loads(result.stdout) == JSON_OF_MANUAL
 
 
-def test_standard_input() -> None:
-    result = decoded(["--json", "-"], input=MANUAL + "\n")
-    assert json.loads(result.stdout) == JSON_OF_MANUAL
-
-
-@pytest.mark.parametrize("bad", ["xyz", "1", "10 0", "10 02 0g"])
-def test_bad_hex_is_wrong_use(bad: str) -> None:
-    result = decoded([bad])
-    assert result.exit_code == 2
-    assert result.stderr.count("\n") == 1
-    assert "is not hex" in result.stderr
-
-
-def test_nothing_given_is_wrong_use() -> None:
+def test_nothing_given_or_no_hex_is_wrong_use(tmp_path: Path) -> None:
     assert decoded([]).exit_code == 2
     assert decoded(["-"], input="").exit_code == 2
-    with pytest.raises(CallerError, match="no bytes given"):
-        parse_hex("  ")
+    assert decoded(["10", "--file", str(tmp_path / "none")]).exit_code == 2
+    result = decoded(["10 02 0g"])
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
 
 
-@pytest.mark.parametrize("data", ["10 02 04 82 00 00 02 10 10 10 03 67", "00 11 22", "10 02"])
-def test_no_valid_frame(data: str) -> None:
-    result = decoded(["--json", data])
-    assert result.exit_code == 1
-    assert not any(frame["checksum_ok"] for frame in json.loads(result.stdout))
-    assert "no valid frame" in result.stderr
+def test_no_valid_frame() -> None:
+    for data in ("10 02 04 82 00 00 02 10 10 10 03 67", "00 11 22"):
+        result = decoded(["--json", data])
+        assert result.exit_code == 1
+        assert not any(frame["checksum_ok"] for frame in json.loads(result.stdout))
+        assert "no valid frame" in result.stderr
 
 
 def test_a_bad_frame_beside_a_good_one() -> None:
@@ -343,19 +322,11 @@ def test_a_spoilt_trace_names_the_line(tmp_path: Path) -> None:
     assert "not a line of a trace" in result.stderr
 
 
-def test_a_file_of_hex(tmp_path: Path) -> None:
+def test_a_file_of_hex_and_one_that_is_not_there(tmp_path: Path) -> None:
     (tmp_path / "bytes.txt").write_text(MANUAL)
     assert decoded(["--file", str(tmp_path / "bytes.txt")]).exit_code == 0
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     result = decoded(["--file", str(tmp_path / "none")])
-    assert result.exit_code == 1
-    assert "none" in result.stderr
-
-
-def test_bytes_and_a_file_are_too_much(tmp_path: Path) -> None:
-    assert decoded(["10", "--file", str(tmp_path / "none")]).exit_code == 2
+    assert (result.exit_code, "none" in result.stderr) == (1, True)
 
 
 def found(unit: int, baud: int = 9600, kind: str = "digimax", **more: object) -> Found:
