@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import partial
-from time import time
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Request, Response
@@ -47,9 +46,11 @@ from app.feature import Feature, Services
 from app.line.commands.service import CommandService
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import LiveState
+from app.line.live.diagnosis import bus_fault_text
 from app.line.live.fields import name_on_site, unit_key
 from app.line.live.requests import unit_or_404
 from app.people.audit.log import EventLog
+from bus.instants import unix_now
 from bus.messages import Message
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
@@ -64,9 +65,14 @@ async def swap_page(
 ) -> Response:
     """Offer the sets that the spare can equal or, during a swap, show its steps."""
     found = unit_or_404(live, bus, unit)
-    found_offers = offers(live, await sets.summaries(), bus, unit)
     return render(
-        request, "swap/page.html", bus=bus, unit=found, offers=found_offers, swap=swaps.find(bus, unit)
+        request,
+        "swap/page.html",
+        bus=bus,
+        unit=found,
+        fault=bus_fault_text(live.buses[bus], unix_now()),
+        offers=offers(live, await sets.summaries(), bus, unit),
+        swap=swaps.find(bus, unit),
     )
 
 
@@ -103,7 +109,7 @@ async def look_again(request: Request, person: Beginner, swaps: Swaps, swap: Swa
         text=step_text(now, swap),
         steps=STEPS,
         done=done_steps(now.step),
-        at=time(),
+        at=unix_now(),
     )
 
 

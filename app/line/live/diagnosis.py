@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from math import ceil
 from typing import Any, Literal
 
-from app.line.conditions.catalogue import NO_UNIT_RESPONDS, NO_UNIT_YET, TILES
+from app.line.conditions.catalogue import NO_UNIT_RESPONDS, NO_UNIT_YET, TILES, tile_text
 from app.line.conditions.condition import PRIORITIES, AlarmPriority, BusFacts, LinkFacts, UnitFacts
 from app.line.conditions.unit import (
     BLOCKED,
@@ -317,3 +317,14 @@ def all_offline(bus: BusLive, now: UnixTime) -> Cause | None:
     causes = (unit_cause(bus, unit, now) for unit in bus.units.values())
     lost = (cause.onset for cause in causes if cause is not None and cause.onset is not None)
     return abnormal("no_unit_responds", max(lost, key=lambda onset: onset.at))
+
+
+def bus_fault(bus: BusLive, now: UnixTime) -> Cause | None:
+    """Return why no unit of a bus responds; None if one does."""
+    return bus_cause(bus, now) or all_offline(bus, now)
+
+
+def bus_fault_text(bus: BusLive, now: UnixTime) -> Message | None:
+    """Return in short why no unit of a bus responds; None if one does."""
+    cause = bus_fault(bus, now)
+    return None if cause is None else tile_text(cause.code)

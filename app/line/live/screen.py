@@ -33,9 +33,9 @@ from app.line.live.diagnosis import (
     Cause,
     Level,
     UnitView,
-    all_offline,
     broken_rung,
     bus_cause,
+    bus_fault,
     shown_cause,
     state_counts,
     unit_cause,
@@ -92,7 +92,7 @@ def abnormal_of(buses: Mapping[str, BusLive], views: Views, now: UnixTime) -> li
     """Return everything abnormal, the worst first, in floor order; each cause is named once."""
     found: list[NamedCause] = []
     for name, bus in buses.items():
-        cause = bus_cause(bus, now) or all_offline(bus, now)
+        cause = bus_fault(bus, now)
         if cause is not None:
             found.append(NamedCause(name, name, cause))
             continue

@@ -55,7 +55,6 @@ from app.system.configuration.service import (
     ConfigurationReview,
     PresentFile,
     Restart,
-    SystemsBeside,
 )
 from app.system.configuration.tables import (
     ALARM_CODES,
@@ -104,7 +103,6 @@ async def configuration_page(
     _: ConfigurationChanger,
     file: FileOfServer,
     restart: RestartOfServer,
-    beside: Annotated[SystemsBeside, service(SystemsBeside)],
     done: int = 0,
     changed: Annotated[str, Query(max_length=80)] = "",
     field: Annotated[str, Query(max_length=80)] = "",
@@ -137,7 +135,6 @@ async def configuration_page(
         defaults=DEFAULTS,
         can_restart=restart.is_offered and not present.faults,
         restarting=restarting,
-        beside=[state_of() for state_of in beside],
     )
 
 
@@ -584,7 +581,6 @@ def make(services: Services) -> None:
     settings = services.settings
     store = VersionStore(settings.server.data)
     file = services.add(ConfigurationFile(settings, store, services[EventLog]))
-    services.add(SystemsBeside())
     services.add(Restart(file, services[EventLog]))
     scan = services.add(PortScan())
     services.lifespan.add("configuration", start=file.begin, end=scan.stop)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
@@ -73,10 +72,6 @@ class ConfigurationReview(NamedTuple):
     text: str
     lines: list[DifferenceLine]
     faults: tuple[Message, ...]
-
-
-class SystemsBeside(list[Callable[[], Message]]):
-    """Functions that describe a connected system's state in a sentence; its feature adds one."""
 
 
 class ConfigurationFile:

@@ -15,7 +15,6 @@ from app.line.history.service import History
 from app.line.live.bus_live import LiveState
 from app.line.live.fields import Translator
 from app.settings import Settings
-from app.system.configuration.service import SystemsBeside
 from app.system.mqtt.node import EdgeNode
 from app.system.mqtt.overview import BrokerLines, LineDocuments
 from app.system.mqtt.session import Nodes, NodeSession
@@ -39,12 +38,10 @@ def make(services: Services) -> None:
     services[LineAlarms].subscribe(partial(_note_alarm, {each.node.name: each for each in nodes}))
     for each in nodes:
         services.lifespan.add("MQTT node", each.follow, end=each.end)
-        services[SystemsBeside].append(each.state)
     if settings.mqtt.overview:
         own = frozenset(each.node.document_topic for each in nodes)
         lines = nodes.overview = BrokerLines(settings.mqtt, board, own)
         services.lifespan.add("lines of the broker", lines.follow)
-        services[SystemsBeside].append(lines.state)
 
 
 def _session(services: Services, name: str, group: str, documents: LineDocuments) -> NodeSession:

@@ -426,9 +426,14 @@ class NodeSession:
     async def _store(self, backlog: Backlog) -> None:
         await self._database.write(lambda connection: write_backlog(connection, backlog))
 
+    @property
+    def has_delivered(self) -> bool:
+        """Whether the broker has ever received a reading."""
+        return self.backlog is not None and self.backlog.received > 0
+
     def lag_s(self) -> float:
-        """Return the seconds of readings that the broker has not received."""
-        if self.backlog is None or not self.backlog.received:
+        """Return the seconds of readings that the broker has not received; 0 before it received any."""
+        if self.backlog is None or not self.has_delivered:
             return 0.0
         waiting = self.backlog.waiting_s()
         if self.status.is_connected:
@@ -441,9 +446,10 @@ class NodeSession:
         if self.status.host_is_behind and not self.status.is_connected:
             return Message.of("mqtt_waits_clock", node=node, host=self._settings.primary_host)
         if self.status.fault is not None:
-            return Message.of(
-                "mqtt_lacks", node=node, reason=self.status.fault, seconds=number(f"{self.lag_s():.0f}")
-            )
+            if not self.has_delivered:
+                return Message.of("mqtt_lacks_all", node=node, reason=self.status.fault)
+            seconds = number(f"{self.lag_s():.0f}")
+            return Message.of("mqtt_lacks", node=node, reason=self.status.fault, seconds=seconds)
         if self.status.waits:
             return Message.of("mqtt_waits", node=node, host=self._settings.primary_host)
         return Message.of("mqtt_has", place=place, node=node, refused=number(str(self.node.refused)))

@@ -9,7 +9,6 @@ from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.live.bus_live import LiveState
 from app.settings import Settings
-from app.system.configuration.service import SystemsBeside
 from app.system.opcua.settings import FOLDER, OpcuaProcesses, OpcuaSettings
 from app.version import VERSION
 
@@ -34,7 +33,6 @@ def make(services: Services) -> None:
     services.add(OpcuaProcesses([process]))
     alarms.subscribe(process.note_alarm)
     services.lifespan.add("OPC UA", process.follow, end=process.end)
-    services[SystemsBeside].append(process.state)
 
 
 def _begin(settings: Settings, wanted: OpcuaSettings) -> Begin:

@@ -22,8 +22,7 @@ from app.line.live.diagnosis import (
     Cause,
     Level,
     UnitView,
-    all_offline,
-    bus_cause,
+    bus_fault,
     shown_cause,
     state_counts,
     unit_cause,
@@ -176,7 +175,7 @@ def view_of(bus: BusLive, number: int, blocked: Message | None, drifted: str, no
 def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, Cause | None]:
     """Return the cause for the verdict: of the bus, else of the first unit of the highest priority. A
     condition of low priority is not a verdict on a line."""
-    of_bus = bus_cause(bus, now) or all_offline(bus, now)
+    of_bus = bus_fault(bus, now)
     if of_bus is not None:
         return bus.settings.name, of_bus
     shown = (view for view in views if view.level not in ("", "low"))

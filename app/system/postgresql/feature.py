@@ -7,7 +7,6 @@ from app.feature import Feature, Services
 from app.line.alarms.line_alarms import SiteAlarms
 from app.line.conditions import catalogue
 from app.line.history.service import History
-from app.system.configuration.service import SystemsBeside
 from app.system.postgresql.publisher import Publisher
 from bus.instants import unix_now
 from bus.messages import Message
@@ -30,7 +29,6 @@ def make(services: Services) -> None:
     def day_behind() -> bool:
         return catalogue.PUBLISHER_DAY_BEHIND.holds(publisher.status.lag_s(unix_now()))
 
-    services[SystemsBeside].append(lambda: publisher.status.state(unix_now()))
     services[SiteAlarms].watch("publisher_behind", behind)
     services[SiteAlarms].watch("publisher_day_behind", day_behind)
 

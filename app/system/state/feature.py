@@ -36,7 +36,7 @@ GB = 1e9
 class SystemRow:
     """A row about one safeguard of the records. ``level``: the priority of its alarm, empty while all is
     well; ``next``: its next time, in words if it runs all the time; ``help``: the chapter about it;
-    ``alarm``: the id of the alarm about a fault."""
+    ``alarm``: the id of the alarm about a fault; ``is_faulty``: whether there is a fault without one."""
 
     name: Message | str
     state: Message
@@ -46,6 +46,7 @@ class SystemRow:
     help: str = ""
     level: str = ""
     alarm: str = ""
+    is_faulty: bool = False
 
 
 async def system_rows(services: Services, now: UnixTime, monotonic: Monotonic) -> list[SystemRow]:
@@ -145,19 +146,21 @@ def _nodes(services: Services, now: UnixTime) -> Iterator[SystemRow]:
         yield SystemRow(
             Message.of("system_broker", node=node.node.name),
             node.state(),
-            now - node.lag_s(),
-            Message("system_always"),
+            now - node.lag_s() if node.has_delivered else None,
+            Message("system_retries" if node.status.fault else "system_always"),
             Message("system_check_broker") if node.status.fault else None,
             "mqtt",
+            is_faulty=node.status.fault is not None,
         )
     overview = services[Nodes].overview
     if overview is not None:
         yield SystemRow(
             Message("system_broker_lines"),
             overview.state(),
-            next=Message("system_always"),
+            next=Message("system_retries" if overview.fault else "system_always"),
             to_do=Message("system_check_broker") if overview.fault else None,
             help="mqtt",
+            is_faulty=overview.fault is not None,
         )
 
 
@@ -170,9 +173,10 @@ def _opcua(services: Services, now: UnixTime) -> Iterator[SystemRow]:
             Message("system_opcua"),
             process.state(),
             now if process.status.is_serving else None,
-            Message("system_always"),
+            Message("system_retries" if process.fault else "system_always"),
             process.to_do,
             "opcua",
+            is_faulty=process.fault is not None,
         )
 
 
@@ -193,9 +197,10 @@ def _peers(services: Services, now: UnixTime, monotonic: Monotonic) -> Iterator[
             Message.of("system_peer", name=peer.name),
             peer.fault or Message("system_peer_is_read"),
             None if age is None else now - age,
-            Message("system_always"),
+            Message("system_retries" if peer.fault else "system_always"),
             Message("system_check_peer") if peer.fault else None,
             "several-lines",
+            is_faulty=peer.fault is not None,
         )
 
 

@@ -179,7 +179,7 @@ def test_a_worker_that_does_not_respond_is_the_cause_of_its_units() -> None:
     )
     assert named(live, LATER + 70)[1] == "Bus worker does not respond since 02:22"
     live.buses["dry"].lose_worker(LATER + 80)
-    assert named(live, LATER + 90)[1] == "Bus worker not connected since 02:23"
+    assert named(live, LATER + 90)[1] == "Bus worker does not respond since 02:23"
 
 
 def test_a_unit_never_read_and_a_unit_lost_before_the_start_with_its_time() -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from app.line.live.browser import Browser
 from app.line.live.hub import Hub
-from app.system.configuration.service import SystemsBeside
 from app.system.mqtt.node import LINES
+from app.system.mqtt.session import Nodes
 from app.system.peers.board import LineBoard, LineTiles
 from bus.messages import in_english
 from tests.app.broker import Broker, running
@@ -143,7 +143,10 @@ async def test_two_copies_behind_bridged_brokers(tmp_path: Path) -> None:
         (peer,) = board.peers
         before = peer.time
         await until(lambda: peer.time != before, "the first goes on without the second")
-        said = [in_english(state()) for state in first.services[SystemsBeside]]
-        assert said[-1] == f"broker 127.0.0.1:{plant.port}: lines of others that are shown: 1"
+        lines = first.services[Nodes].overview
+        assert lines is not None
+        assert (
+            in_english(lines.state()) == f"broker 127.0.0.1:{plant.port}: lines of others that are shown: 1"
+        )
         mill.kill()
         await until(lambda: not is_live(board), "what nobody publishes is stale")

@@ -101,7 +101,7 @@ async def unit_rows(_: Viewer, page: PageOfBus) -> Response:
 def _units(page: BusPage) -> dict[str, Any]:
     figures = {} if page.bus.figures is None else {unit.unit: unit for unit in page.bus.figures.units}
     rows = [{"unit": page.shown(number), "figures": figures.get(number)} for number in page.bus.units]
-    return {"fields": page.fields(), "rows": rows, "unit_error": unit_error}
+    return {"fields": page.fields(), "name": page.name, "rows": rows, "unit_error": unit_error}
 
 
 @router.post("/bus/{bus}/scan", dependencies=[permitted(SCAN_BUS)])
