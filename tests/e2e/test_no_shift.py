@@ -177,5 +177,5 @@ def test_no_row_of_the_setpoints_moves_for_a_change_what_is_staged_or_an_alarm(
     faults("input", unit=2, input="estop", on=True)
     faults("mode", unit=5, to="local")
     expect(page.locator("[data-unit='line/5'] .by-mode__not")).to_be_visible()
-    expect(page.locator("[data-unit='line/2'] .state[data-is=stopped]")).to_be_visible(timeout=UNIT_MS)
+    expect(page.locator("[data-unit='line/2'] .status[data-is=urgent]")).to_be_visible(timeout=UNIT_MS)
     no_shift(page, "an alarm and LOCAL")

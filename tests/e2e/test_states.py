@@ -228,7 +228,8 @@ COVERED = """() => [...document.querySelectorAll(".tile")].flatMap(tile => {
     .filter(part => part.checkVisibility({visibilityProperty: true}))
     .map(part => [part, part.getBoundingClientRect()]);
   return parts.flatMap(([one, box], at) => parts.slice(at + 1)
-    .filter(([, other]) => box.bottom > other.top + 0.5 && other.bottom > box.top + 0.5)
+    .filter(([, other]) => box.bottom > other.top + 0.5 && other.bottom > box.top + 0.5
+      && box.right > other.left + 0.5 && other.right > box.left + 0.5)
     .map(([other]) => `${tile.dataset.unit}: ${one.className}, ${other.className}`));
 })"""
 """Parts of a tile of which one is over another."""
@@ -264,7 +265,7 @@ def test_a_small_panel_has_room_for_the_verdict_and_scrolls_nothing_sideways(
     shared_page: OpensPages, locale: str
 ) -> None:
     page = opened(shared_page(viewport={"width": 1024, "height": 768}, locale=locale), "/setpoints")
-    room = "one => one.getBoundingClientRect().right <= one.parentElement.getBoundingClientRect().right"
+    room = "one => one.getBoundingClientRect().right <= one.closest('p').getBoundingClientRect().right"
     assert page.locator(".top__words").evaluate(room)
     name = page.locator(".setpoints tbody th > a").first
     name.evaluate("one => one.textContent = 'Unwind of the second coating line, dry e'")

@@ -33,7 +33,7 @@ from app.line.conditions.condition import (
     reads_ratio,
 )
 from app.line.conditions.condition import follower as follower
-from app.line.conditions.unit import DRAW_OUT_OF_BAND, SETTLED
+from app.line.conditions.unit import DRAW_OUT_OF_BAND, RUNNING, SETTLED
 from bus.catalogue.parameters import (
     ACCELERATION,
     ANALOG_IN_HIGH,
@@ -550,6 +550,12 @@ def draw_of(bus: BusLive, unit: UnitLive, now: UnixTime) -> Draw:
     judged = before.motion.state in SETTLED and unit.motion.state in SETTLED
     speeds = _actual_speed(bus, before, now), _actual_speed(bus, unit, now)
     return draw_between(*speeds, seam.band, judged=judged)
+
+
+def both_run(bus: BusLive, unit: UnitLive) -> bool:
+    """Return whether a unit and the one before it run, which makes their draw worth showing."""
+    seam = bus.seams.get(unit.settings.id)
+    return seam is not None and {bus.units[seam.before].motion.state, unit.motion.state} <= RUNNING
 
 
 def quantity_of(bus: BusLive, unit: UnitLive) -> str | None:

@@ -154,13 +154,14 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: T
     return fields
 
 
-def draw_fields(draw: Draw, translator: Translator) -> Fields:
-    """Return the draw as ``+5.3 %``, empty if there is none, and its state."""
-    text = UNKNOWN if draw.state == "unknown" else ""
-    return {
-        "draw": text if draw.tenths is None else draw_text(draw.tenths, translator),
-        "draw_state": draw.state,
-    }
+def draw_fields(draw: Draw, translator: Translator, *, both_run: bool) -> Fields:
+    """Return the draw as ``+5.3 %``, and its state. It is empty, and in the state none, if there is none or
+    one of the two sections stands or turns without run."""
+    if draw.tenths is None or not both_run:
+        unknown = draw.state == "unknown"
+        return {"draw": UNKNOWN if unknown else "", "draw_state": "unknown" if unknown else "none"}
+    shown = "unjudged" if draw.state == "none" else draw.state
+    return {"draw": draw_text(draw.tenths, translator), "draw_state": shown}
 
 
 def draw_text(tenths: int, translator: Translator) -> str:

@@ -345,10 +345,8 @@ class Hub:
             screen = broadcast.screen
             groups = screen.put(ALARM_GROUP, self._sources.banner(screen.translator))
             for bus, unit in units:
-                fields = self._sources.unit_alarm(bus, unit, screen.translator, now)
-                groups |= screen.put(unit_key(bus, unit), fields)
-            groups |= screen.show_line(now)
-            broadcast.publish(groups)
+                merge_groups(groups, screen.render(bus, [unit], now, include_bus=False))
+            broadcast.publish(merge_groups(groups, screen.show_line(now)))
 
     def show_control(self) -> None:
         """Show who controls each bus now."""

@@ -22,6 +22,7 @@ from app.line.live.bus_live import (
     LiveState,
     MotionState,
     UnitLive,
+    both_run,
     draw_of,
     figures_now,
     follower,
@@ -281,6 +282,15 @@ def _is_active(mark: str) -> bool:
     return bool(mark) and "cleared" not in mark
 
 
+def _worn(alarm: Fields, level: Level) -> Fields:
+    """Return the mark that a unit wears on the line, and whose ``words``: those of an alarm that is worse
+    than the cause, else those of the cause, without the mark of a lesser alarm."""
+    mark = str(alarm.get("alarm", ""))
+    place = LEVELS.index(mark.split()[0]) if _is_active(mark) else len(LEVELS)
+    cause = LEVELS.index(level)
+    return {"worn": mark if place <= cause else "", "words": "alarm" if place < cause else ""}
+
+
 def _says_since(alarm: Fields, cause: Cause | None, bus: str, unit: int) -> bool:
     """Return whether the alarm of a unit is that of its cause and active: its text then has the time."""
     if cause is None or not _is_active(str(alarm.get("alarm", ""))):
@@ -382,7 +392,8 @@ class Screen:
         if texts is not None:
             self._briefs[key] = texts.brief, texts.since
             status = texts.text if _says_since(alarm, cause, bus_name, number) else texts.line
-        fields |= draw_fields(draw_of(bus, unit, now), self.translator)
+        draw, run = draw_of(bus, unit, now), both_run(bus, unit)
+        fields |= draw_fields(draw, self.translator, both_run=run)
         of_bus = bus_cause(bus, now)
         return fields | {
             "level": view.level,
@@ -396,6 +407,7 @@ class Screen:
             "blocked": blocked,
             "drift": drifted.key,
             **alarm,
+            **_worn(alarm, view.level),
         }
 
     def _recipe(self, bus_name: str) -> str:

@@ -137,10 +137,12 @@ def test_a_standing_line_and_different_displays_have_no_draw() -> None:
 def test_a_draw_is_shown_and_not_judged_without_a_band_and_while_a_section_ramps() -> None:
     free = banded(None, ())
     free.buses["dry"].apply([reading(1, 100.0, 1142, 1142)])
-    assert shown(free, 2) == ("+5.1 %", "none")
+    assert shown(free, 2) == ("+5.1 %", "unjudged")
     ramping = drawn(1142, 1202)
     ramping.buses["dry"].apply([reading(1, 100.1, 1300, 1143, outputs=0x40)])
-    assert shown(ramping, 2) == ("+5.2 %", "none")
+    assert shown(ramping, 2) == ("+5.2 %", "unjudged")
+    ramping.buses["dry"].apply([reading(1, 100.2, 1300, 1140, inputs=0)])
+    assert shown(ramping, 2) == ("", "none"), "a section that coasts has none"
 
 
 def test_decimals_of_neighbors_may_differ() -> None:

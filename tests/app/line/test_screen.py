@@ -263,6 +263,26 @@ def test_the_alarm_of_a_cause_alone_says_its_time() -> None:
         assert changed["dry/2"]["status"] == f"Still turning: emergency stop {status}"
 
 
+@pytest.mark.parametrize(
+    ("mark", "inputs", "worn"),
+    [
+        ("medium waiting", 3, ("medium waiting", "alarm")),
+        ("medium", 1, ("", "")),
+        ("urgent waiting", 1, ("urgent waiting", "")),
+        ("high cleared waiting", 3, ("", "")),
+    ],
+)
+def test_the_mark_and_the_words_of_a_unit_are_of_one_condition(
+    mark: str, inputs: int, worn: tuple[str, str]
+) -> None:
+    live = line()
+    shown = screen(live)
+    shown.sources.unit_alarm = lambda *_: {"alarm": mark}
+    live.buses["dry"].apply([reading(2, at=100.2, inputs=inputs)])
+    shown.render("dry", [2], 100.2, include_bus=False)
+    assert (shown.flat()["dry/2.worn"], shown.flat()["dry/2.words"]) == worn
+
+
 def test_only_what_changed_is_given() -> None:
     live = line()
     shown = screen(live)
