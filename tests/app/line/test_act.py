@@ -19,7 +19,6 @@ from app.line.commands.catalogue import COMMANDS, READ_PARAMETERS, kind_of_comma
 from app.line.commands.rules import NewSetpoint
 from app.main import FEATURES, create_app
 from app.people.audit.acts import Act
-from app.people.audit.log import Filter
 from app.settings import Site
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
@@ -233,13 +232,6 @@ async def test_every_kind_is_sent_for_its_role_and_those_above_alone(
         with pytest.raises(Problem, match=f"role {needed}") as refused:
             site.commands.check(person, action, confirm=True)
         assert refused.value.status == 403
-
-
-async def test_a_refused_write_is_recorded_with_its_author(site: House, worker: PlayedWorker) -> None:
-    assert await code_of(site, Person("vera", Role.VIEWER, "session"), SetSpeed(unit=1, raw=5)) == "forbidden"
-    (event, *_), _ = await site.log.page(Filter(kind="command"), 1)
-    assert (event["who"], event["outcome"]) == ("vera", "forbidden")
-    assert worker.commands == []
 
 
 async def test_a_batch_of_a_person_without_the_right_writes_nothing(

@@ -25,7 +25,6 @@ from app.line.alarms.acts import (
     UNSHELVE,
     ActBody,
     AlarmAct,
-    AlarmShelveRequest,
 )
 from app.line.alarms.journal import AlarmStore, JournalEntry
 from app.line.alarms.line_alarms import LineAlarms, SiteAlarms
@@ -114,12 +113,6 @@ async def test_each_act_follows_from_its_row(database: Database) -> None:
     ]
     with pytest.raises(Problem, match="Nothing was changed"):
         await active.alarms.act(ANNA, RESET, f"{ESTOP}.1")
-
-
-async def test_a_shelf_ends_after_its_minutes(database: Database) -> None:
-    active = ActiveAlarms(database)
-    await active.alarms.act(ANNA, SHELVE, f"{ESTOP}.1", AlarmShelveRequest(reason="chatters", minutes=5))
-    assert active.alarm.facts.shelved_until == UnixTime(active.bus.now + 300)
 
 
 def entries(database: Database, query: str) -> list[tuple[object, ...]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from decimal import Decimal
 from itertools import product
 from typing import get_args
@@ -153,48 +152,6 @@ def test_a_suppressed_alarm_whose_definition_ends_is_normal_and_no_longer_suppre
     assert (facts.state, facts.suppressed) == ("normal", False)
 
 
-def test_an_alarm_is_silenced_once() -> None:
-    how = AlarmAttributes()
-    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = rules.silence(facts, how, UnixTime(11))
-    assert (facts.sounds, facts.state) == (False, "unack_active")
-    with pytest.raises(NoTransitionError):
-        rules.silence(facts, how, UnixTime(12))
-
-
-@pytest.mark.parametrize(
-    ("active", "acknowledged", "latched", "base", "acknowledge", "reset"),
-    [
-        (False, True, False, "normal", None, None),
-        (True, False, False, "unack_active", "ack_active", None),
-        (True, True, False, "ack_active", None, None),
-        (False, False, False, "rtn_unack", "normal", None),
-        (False, False, True, "latched_unack", "latched_ack", None),
-        (False, True, True, "latched_ack", None, "normal"),
-    ],
-)
-def test_people_lead_a_base_state_only_where_the_standard_does(
-    active: bool, acknowledged: bool, latched: bool, base: str, acknowledge: str | None, reset: str | None
-) -> None:
-    facts = AlarmFacts(active=active, acknowledged=acknowledged, latched=latched)
-    assert facts.base == base
-    for change, target in ((rules.acknowledge, acknowledge), (rules.reset, reset)):
-        if target is None:
-            with pytest.raises(NoTransitionError):
-                change(facts, AlarmAttributes(), UnixTime(1))
-        else:
-            assert change(facts, AlarmAttributes(), UnixTime(1))[0].base == target
-
-
-@pytest.mark.parametrize("word", [word for word in ACTS if not word.endswith("suppress")])
-def test_nothing_can_be_ended_that_has_not_begun(word: str) -> None:
-    facts, once = AlarmFacts(), word in ("shelve", "remove")
-    if once:
-        facts, _ = act(facts, AlarmAttributes(), word, 1.0, 9.0, False)
-    with pytest.raises(NoTransitionError):
-        act(facts, AlarmAttributes(), word, 2.0, 9.0, False)
-
-
 def test_an_unknown_condition_stops_a_delay_and_changes_nothing_else() -> None:
     how = AlarmAttributes(on_delay_s=2)
     facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(1))
@@ -213,43 +170,6 @@ def test_a_transition_has_the_time_at_which_it_was_due() -> None:
     facts, done = rules.observe(facts, how, holds=False, at=UnixTime(40))
     assert [(each.trigger, each.at) for each in done] == [("rise", 15)]
     assert due_at(facts, how) == 42
-
-
-def test_an_alarm_rises_again_while_it_stays_after_its_time_since_it_was_acknowledged() -> None:
-    how = AlarmAttributes(realarm_s=3)
-    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = rules.acknowledge(facts, how, UnixTime(12))
-    facts, done = rules.advance(facts, how, UnixTime(20))
-    assert [(each.trigger, each.at, facts.state) for each in done] == [("realarm", 15, "unack_active")]
-
-
-def test_a_shelf_for_once_ends_with_the_condition_and_hides_from_acts_until_then() -> None:
-    how = AlarmAttributes()
-    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = rules.shelve(facts, how, UnixTime(11), for_s=88, once=True)
-    for hidden_act in (rules.acknowledge, rules.reset):
-        with pytest.raises(NoTransitionError):
-            hidden_act(facts, how, UnixTime(12))
-    with pytest.raises(NoTransitionError):
-        rules.shelve(facts, how, UnixTime(12), for_s=87)
-    facts, done = rules.observe(facts, how, holds=False, at=UnixTime(13))
-    assert ([each.trigger for each in done], facts.shelved_until) == (["clear", "unshelve"], None)
-
-
-def test_what_hides_an_alarm_is_named_in_the_order_in_which_a_person_has_to_end_it() -> None:
-    facts = AlarmFacts(suppressed=True, shelved_until=UnixTime(9), out_of_service=True)
-    assert facts.state == "out_of_service"
-    assert replace(facts, out_of_service=False).state == "shelved"
-    assert AlarmFacts(suppressed=True).state == "suppressed"
-
-
-def test_a_shelving_is_ended_before_its_time_and_only_once() -> None:
-    how = AlarmAttributes()
-    facts, _ = rules.shelve(AlarmFacts(), how, UnixTime(1), for_s=60)
-    facts, done = rules.unshelve(facts, how, UnixTime(2))
-    assert ([each.trigger for each in done], facts.shelved_until) == (["unshelve"], None)
-    with pytest.raises(NoTransitionError):
-        rules.unshelve(facts, how, UnixTime(3))
 
 
 def test_running_times_keep_their_length_when_the_clock_is_set() -> None:
@@ -287,14 +207,6 @@ def test_an_acknowledgement_ends_where_it_is_annunciated_again_and_the_time_it_c
     hidden, _ = rules.shelve(facts, how, UnixTime(13), for_s=1)
     back, _ = rules.advance(hidden, how, UnixTime(14))
     assert (times(back), back.state) == ((10, None, None), "unack_active")
-
-
-def test_an_alarm_that_cleared_after_its_acknowledgement_is_not_annunciated_again() -> None:
-    how = AlarmAttributes(realarm_s=3)
-    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = rules.acknowledge(facts, how, UnixTime(11))
-    facts, _ = rules.observe(facts, how, holds=False, at=UnixTime(12))
-    assert (due_at(facts, how), facts.state) == (None, "normal")
 
 
 def test_the_three_times_move_with_the_clock() -> None:

@@ -20,11 +20,9 @@ from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
 from app.line.alarms.performance import ObservedSpan
 from app.line.alarms.rules import AlarmFacts
 from app.line.live.bus_live import LiveState
-from app.line.live.hub import Hub
-from app.line.live.screen import ALARM_GROUP
 from app.people.audit.log import EventLog
 from bus.contract import Reading
-from bus.instants import UnixTime, unix_now
+from bus.instants import unix_now
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, HEALTHY, estop, played_line
@@ -71,16 +69,6 @@ async def test_an_alarm_comes_is_acknowledged_and_goes(house: House) -> None:
         ("acknowledge", "ack_active", "seen"),
         ("rise", "unack_active", None),
     ]
-
-
-async def test_an_acknowledgement_moves_no_active_alarm(house: House) -> None:
-    operator = await house.program(Role.OPERATOR)
-    for unit in (1, 2):
-        estop(house.services, active=True, unit=unit)
-    before = [alarm["id"] for alarm in await present(operator)]
-    assert len(before) == 2
-    await act(operator, before[0], "acknowledge")
-    assert [alarm["id"] for alarm in await present(operator)] == before
 
 
 async def test_sheet_report_and_list_have_the_same_times_and_states(house: House) -> None:
@@ -136,18 +124,6 @@ async def test_an_acknowledgement_names_the_occurrence(house: House) -> None:
     assert second["state"] == "unack_active"
 
 
-async def test_of_two_people_who_acknowledge_at_once_the_second_gets_its_refusal_in_words(
-    house: House,
-) -> None:
-    operator = await house.program(Role.OPERATOR)
-    estop(house.services, active=True)
-    (alarm,) = await present(operator)
-    await act(operator, alarm["id"], "acknowledge")
-    again = await act(operator, alarm["id"], "acknowledge")
-    assert (again.status_code, again.json()["code"]) == (409, "not_in_state")
-    assert "active, acknowledged by now. Nothing was changed." in again.json()["detail"]
-
-
 async def test_shelving_has_a_reason_and_an_end(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
     estop(house.services, active=True)
@@ -186,17 +162,6 @@ async def test_an_unknown_alarm_is_not_found(house: House, alarm: str) -> None:
     viewer = await house.program(Role.VIEWER)
     missing = await viewer.get(f"{API}/{alarm}")
     assert missing.status_code == 404
-
-
-async def test_the_detail_has_the_record_and_the_transitions(house: House) -> None:
-    viewer = await house.program(Role.VIEWER)
-    estop(house.services, active=True)
-    (alarm,) = await present(viewer)
-    await house.services.buses[BUS][BusAlarms].list.write()
-    detail = (await viewer.get(f"{API}/{alarm['id']}")).json()
-    assert (detail["record"]["severity"], detail["record"]["time_to_respond"]) == ("severe", "minutes")
-    assert all(detail["record"].values())
-    assert [each["trigger"] for each in detail["transitions"]] == ["rise"]
 
 
 async def test_the_list_is_filtered(house: House) -> None:
@@ -313,14 +278,6 @@ async def test_the_summary_has_the_present_alarms_and_only_an_operator_may_act(h
     assert "Emergency stop" in for_viewer
     assert "Acknowledge alarm" not in for_viewer
     assert f'name="id" value="{ESTOP}.1"' in for_operator
-
-
-async def test_an_alarm_is_acknowledged_from_the_list(house: House) -> None:
-    estop(house.services, active=True)
-    operator = await house.signed_in(Role.OPERATOR)
-    done = await operator.post("/alarms/acknowledge?priority=urgent", data={"id": f"{ESTOP}.1"})
-    assert (done.status_code, done.headers["location"]) == (303, "/alarms?priority=urgent")
-    assert state(house) == "ack_active"
 
 
 async def test_the_alarms_shown_are_acknowledged_but_not_one_that_came_again(house: House) -> None:
@@ -520,24 +477,6 @@ async def test_an_unknown_condition_is_not_shown_as_active(house: House) -> None
     alarm.facts = replace(alarm.facts, unknown_since=unix_now())
     fields = AlarmBanner(house.services[LineAlarms]).unit_fields(BUS, 1, translator(), unix_now())
     assert fields["alarm_state"].startswith("unknown since")
-
-
-async def test_an_alarm_of_another_day_shows_its_date(house: House) -> None:
-    estop(house.services, active=True)
-    banner, came = AlarmBanner(house.services[LineAlarms]), facts_of(house).came or unix_now()
-    later = UnixTime(came + 3 * 86_400.0)
-    state = banner.unit_fields(BUS, 1, translator(), later)["alarm_state"]
-    assert state == f"active since {translator().formats.since(came, later)}"
-    assert "," in state
-
-
-async def test_an_open_page_gets_the_alarm_without_a_request(house: House) -> None:
-    hub = house.services[Hub]
-    assert isinstance(hub, Hub)
-    screen = hub.screen("en")
-    before = screen.shown[ALARM_GROUP]["changed"]
-    estop(house.services, active=True)
-    assert hub.screen("en").shown[ALARM_GROUP]["changed"] != before
 
 
 async def test_the_figures_are_a_page_and_data_and_a_file(house: House) -> None:

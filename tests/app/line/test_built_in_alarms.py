@@ -243,13 +243,6 @@ CONFIGURED = '[[bus]]\nname = "dry-end"\nport = "/dev/null"\n[[bus.unit]]\nid = 
 OWN = '[[alarm]]\nname = "Dryer too slow"\nbus = "dry-end"\nunit = 4\n'
 
 
-def test_an_own_alarm_is_read_as_documented(tmp_path: Path) -> None:
-    text = 'value = "actual"\nbelow = "80.0"\non_delay_s = 5.0\noff_delay_s = 2\ndeadband = "0.5"\n'
-    assert faults_of(tmp_path, CONFIGURED + OWN + text + 'priority = "high"\nlatch = false\n') == ""
-    text = 'value = "output.2"\nstate = "on"\non_delay_s = 600\n'
-    assert faults_of(tmp_path, CONFIGURED + OWN + text) == ""
-
-
 @pytest.mark.parametrize(
     ("text", "line", "words"),
     [
@@ -320,11 +313,6 @@ def test_a_condition_without_an_alarm_cannot_be_set(code: str) -> None:
         BuiltInAlarmSettings(code=code, on_delay_s=7.0)
 
 
-def test_a_built_in_alarm_is_set_as_documented(tmp_path: Path) -> None:
-    everywhere = f'{DEVIATION}above_percent = 3\ndeadband_percent = "0.5"\n'
-    assert faults_of(tmp_path, CONFIGURED + everywhere + DEVIATION + OF_UNIT + "on_delay_s = 20\n") == ""
-
-
 def test_a_unit_comes_before_its_bus_and_that_before_everywhere(database: Database) -> None:
     """At 40 of 2000 away: 2 %."""
     bus = tuned_bus(
@@ -339,25 +327,6 @@ def test_a_unit_comes_before_its_bus_and_that_before_everywhere(database: Databa
     assert {bus.alarm(f"{unit}.deviation").definition.attributes.off_delay_s for unit in (1, 2, 3)} == {7}
     bus.wait(51, 1, 2, 3, actual=1040)
     assert bus.present() == {"1.deviation", "3.deviation"}
-
-
-def test_a_deadband_decides_when_a_deviation_clears(database: Database) -> None:
-    bus = tuned_bus(database, {"code": "deviation", "deadband_percent": 4})
-    bus.wait(10, 1, 2, 3, actual=1101)
-    bus.wait(10, 1, 2, 3, actual=1021)
-    assert bus.state("1.deviation") == "unack_active"
-    bus.wait(10, 1, 2, 3, actual=1020)
-    assert bus.state("1.deviation") == "rtn_unack"
-
-
-def test_the_analog_input_has_limits_within_its_range(database: Database) -> None:
-    limits = {"above_percent": 80, "below_percent": 10, "deadband_percent": 5}
-    bus = tuned_bus(database, {"code": "analog_out_of_limits", **limits, "on_delay_s": 0.0})
-    for analog, state in ((204, "normal"), (205, "unack_active"), (192, "unack_active"), (191, "rtn_unack")):
-        bus.wait(8, 1, 2, 3, analog=analog)
-        assert bus.state("1.analog_out_of_limits") == state, analog
-    bus.wait(1, 1, 2, 3, analog=25)
-    assert bus.state("1.analog_out_of_limits") == "unack_active"
 
 
 @pytest.mark.parametrize(

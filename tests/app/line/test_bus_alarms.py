@@ -29,15 +29,6 @@ def bus(database: Database) -> AlarmBus:
     return bus
 
 
-def test_an_emergency_stop_is_an_alarm_with_the_reading_that_shows_it(bus: AlarmBus) -> None:
-    bus.now += 0.1
-    bus.read(2, inputs=RUN)
-    alarm = bus.alarm("2.estop_active")
-    assert (alarm.facts.state, alarm.id) == ("unack_active", f"{BUS}.2.estop_active.1")
-    bus.wait(1, 1, 2, 3)
-    assert alarm.facts.state == "rtn_unack"
-
-
 def test_a_unit_off_speed_is_an_alarm_unless_its_emergency_stop_is_active(bus: AlarmBus) -> None:
     bus.wait(20, 1, 2, 3, actual=700, outputs=REMOTE)
     assert bus.present() == {"1.not_at_speed", "2.not_at_speed", "3.not_at_speed"}

@@ -113,13 +113,6 @@ def spent(now: float = 0.0) -> EventBudget:
     return budget
 
 
-def test_few_events_are_recorded_one_by_one() -> None:
-    budget = EventBudget()
-    admitted = [budget.admits(KEY, hour, 3600.0 * hour) for hour in range(100)]
-    assert all(admitted)
-    assert budget.due(1e9) == []
-
-
 def test_the_last_of_a_flood_is_recorded_once_it_is_quiet() -> None:
     budget = spent()
     assert not any(budget.admits(KEY, number, 10.0) for number in (100, 101, 102))

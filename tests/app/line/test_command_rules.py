@@ -135,11 +135,6 @@ def test_limits_hold_on_every_path_to_a_setpoint(raw: int, execute: bool) -> Non
             assert objection(action, now).code == "invalid"
 
 
-def test_zero_is_always_allowed_to_a_master() -> None:
-    limits = Limits(lowest=500, highest=600, largest_step=1, per_minute=1)
-    check(SetSpeed(unit=1, raw=0), circumstances(limits=limits, moved=1))
-
-
 @given(bounds, bounds)
 def test_a_large_step_needs_a_review(raw: int, largest: int) -> None:
     limits = Limits(largest_step=largest)
@@ -351,12 +346,6 @@ def test_of_a_unit_that_is_not_known_now_only_zero_counts(at_1000: BusLive) -> N
     at_1000.apply([UnitLink(unit=1, at=2.0, link="stale")])
     assert slows_all({1: 0}, at_1000)
     assert not slows_all({1: 1}, at_1000)
-
-
-def test_of_a_unit_that_was_never_read_only_zero_counts() -> None:
-    never = a_bus().buses["dry-end"]
-    assert slows_all({1: 0}, never)
-    assert not slows_all({1: 1}, never)
 
 
 @pytest.mark.parametrize("raw", [0, 1, 999])

@@ -63,18 +63,6 @@ async def test_the_intent_is_on_disk_before_anything_is_sent(site: House, worker
     assert (await commands(site))[0]["outcome"] == "verified"
 
 
-async def test_what_cannot_be_written_down_is_not_sent(
-    site: House, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def full(*_: object, **__: object) -> list[int]:
-        raise StoreError(Message.of("system_error", error="the disk is full"))
-
-    monkeypatch.setattr(site.log, "intend_together", full)
-    response = await site.request("POST", "/units/1/speed", {"raw": 5})
-    assert (response.status_code, response.json()["code"]) == (503, "store")
-    assert worker.commands == []
-
-
 async def test_an_outcome_that_cannot_be_stored_is_returned(
     site: House, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -20,9 +20,9 @@ from app.line.conditions.condition import (
     percent_of,
 )
 from app.line.live.bus_live import BusLive, LiveState, draw_of
-from bus.contract import ParameterValue, UnitLink
+from bus.contract import UnitLink
 from bus.settings import BusSettings, UnitLabels, UnitSettings
-from tests.app.screens import RUN, line, line_view, reading, screen
+from tests.app.screens import line, line_view, reading, screen
 
 BAND = (Decimal("-0.5"), Decimal("2.0"))
 raws = st.integers(1, 99_999)
@@ -145,12 +145,6 @@ def test_a_draw_is_shown_and_not_judged_without_a_band_and_while_a_section_ramps
     assert shown(ramping, 2) == ("", "none"), "a section that coasts has none"
 
 
-def test_decimals_of_neighbors_may_differ() -> None:
-    live = drawn(1142, 12020)
-    live.buses["dry"].apply([ParameterValue(unit=2, number=3, at=100.0, raw=2)])
-    assert shown(live, 2)[0] == "+5.3 %"
-
-
 def run_out_of_band(seconds: float) -> BusLive:
     live = drawn(1200, 1200)
     bus = live.buses["dry"]
@@ -169,16 +163,6 @@ def test_the_verdict_names_a_draw_once_it_lasts(seconds: float, level: str) -> N
     page.refresh(101.0 + seconds)
     assert page.flat()["line_summary.level"] == level
     assert ("Draw out of band since" in page.flat()["line_summary.verdict"]) == bool(level)
-
-
-def test_an_emergency_stop_goes_before_a_draw() -> None:
-    bus = run_out_of_band(6.0)
-    bus.apply([reading(2, 107.2, inputs=RUN)])
-    live = LiveState([bus.settings], 0.0)
-    live.buses["dry"] = bus
-    page = screen(live)
-    page.refresh(107.2)
-    assert "mergency stop" in page.flat()["line_summary.verdict"]
 
 
 UNITS = tuple({"id": n, "name": f"Unit {n}"} for n in (1, 2, 3))

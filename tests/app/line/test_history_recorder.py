@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from app.errors import StoreError
 from app.line.history import query, tables
 from app.line.history.query import SeriesQuery, StoredUnit, run_query
 from app.line.history.recorder import compact
@@ -135,14 +134,6 @@ def test_journals_of_several_servers_are_taken_up_in_a_store_that_came_back(shel
         found = shelf.query("actual", NOON, NOON + 10).series.average
         assert [value for value in found if value is not None] == [1000 + i % 7 for i in [*range(25)] * 2]
         shelf.fold()
-
-
-def test_a_reported_gap_outlives_a_crash(shelf: Shelf) -> None:
-    shelf.keep(polls(NOON, NOON + 5, lambda _: 1000))
-    shelf.keep([BusLink(NOON + 5.1, "closed", "unplugged"), BusLink(NOON + 5.8, "open")])
-    shelf.keep(polls(NOON + 6, NOON + 10, lambda _: 1000))
-    shelf.start_again()
-    assert shelf.query("actual", NOON, NOON + 10).series.average.count(None) == 1
 
 
 def test_a_snapshot_does_not_hide_the_loss_before_it(shelf: Shelf) -> None:
@@ -369,14 +360,6 @@ def test_what_was_taken_in_is_there_after_the_end(tmp_path: Path) -> None:
     shelf.close()
 
 
-def test_readers_see_readings_soon(tmp_path: Path) -> None:
-    writer = opened(tmp_path)
-    writer.enqueue((BUS.name, polls(NOON, NOON + 10)))
-    until(lambda: writer.status.waiting == 0)
-    assert readings_of(writer) == 50
-    writer.close()
-
-
 def test_what_cannot_be_written_waits_and_the_oldest_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -447,23 +430,6 @@ def readings_of(writer: Writer) -> int:
     query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 60), 1000)
     found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, query))
     return len(found.series.at)
-
-
-@pytest.mark.parametrize("content", [b"not a store at all, but long enough to be taken for one" * 100])
-def test_a_damaged_store_is_reported_and_nothing_else_fails(
-    tmp_path: Path, content: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The first commit would replace the store.
-    monkeypatch.setattr("app.line.history.writer.COMMIT_EVERY_S", 3600.0)
-    (tmp_path / "history.db").write_bytes(content)
-    writer = opened(tmp_path)
-    assert writer.status.state == "failed"
-    assert "history.db" in str(writer.status.message)
-    writer.enqueue((BUS.name, polls(NOON, NOON + 10)))
-    with pytest.raises(StoreError, match="no history is stored"):
-        _ = writer.database
-    writer.close()
-    assert (tmp_path / "history.db").read_bytes() == content
 
 
 def test_a_store_of_a_newer_version_is_refused_in_words(tmp_path: Path) -> None:

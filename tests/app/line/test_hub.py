@@ -277,15 +277,6 @@ async def test_a_page_that_opens_alone_shows_what_was_reported_while_none_was_op
     assert first["f"]["dry/1"]["actual"] == "121.0"
 
 
-async def test_a_heartbeat_comes_each_second_with_the_server_s_time(world: World) -> None:
-    browser = world.join()
-    await sent(browser)
-    world.now = 101.0
-    world.hub.tick()
-    (beat,) = await sent(browser)
-    assert (beat["t"], beat["f"].get("dry/1")) == (101.0, None)
-
-
 async def test_a_missing_reading_shows_with_the_heartbeat(world: World) -> None:
     browser = world.join()
     await sent(browser)

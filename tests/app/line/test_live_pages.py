@@ -1,10 +1,12 @@
-"""The page of the line, and the first steps on a bus without a response."""
+"""The pages of the line and of a unit as the server sends them, and the first steps on a bus without a
+response."""
 
 from __future__ import annotations
 
 import json
 import re
 import sys
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from bus.contract import BusLink, ParameterValue
 from bus.instants import UnixTime
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import a_bus, responding
+from tests.app.played_line import BUS, played_line
 from tests.app.screens import line
 from tests.for_each import for_each
 
@@ -106,18 +109,6 @@ async def test_the_faceplate_is_a_part_of_the_line_with_what_the_role_may_do(hou
         assert ('name="value"' in part.text) is may_set
 
 
-async def test_the_line_has_lamps_on_the_faceplate_alone(house: House) -> None:
-    client = await house.program(Role.VIEWER)
-    for view in ("tiles", "rows", "matrix"):
-        assert 'class="lamp' not in (await client.get(f"/?view={view}")).text
-
-
-async def test_an_unknown_unit_is_explained(house: House) -> None:
-    page = await (await house.program(Role.VIEWER)).get("/units/dry-end/200")
-    assert page.status_code == 404
-    assert "200" in page.text
-
-
 async def test_the_view_is_remembered(house: House) -> None:
     client = await house.program(Role.VIEWER)
     response = await client.get("/?view=matrix")
@@ -147,11 +138,6 @@ async def test_the_service_worker_keeps_only_the_offline_page(house: House) -> N
     assert kept is not None
     of_the_page = re.compile(r"/css/|/icons/|/js/(theme|offline)\.js$")
     assert all(of_the_page.search(name) for name in json.loads(kept[1]))
-
-
-async def test_a_press_without_its_review_is_refused(house: House) -> None:
-    client = await house.program(Role.OPERATOR)
-    assert (await client.post("/units/dry-end/1/speed", data={"raw": "100"})).status_code == 422
 
 
 async def test_refused_limits_are_explained_at_their_place_on_the_page(house: House) -> None:
@@ -203,3 +189,37 @@ async def test_a_raw_value_and_a_choice_are_in_the_readers_language(house: House
     assert "Einrichten im Lauf (Parameter 16) schreiben: Ja" in review.text
     speed = await client.post("/units/dry-end/1/parameters/1/review", data={"value": "1750"})
     assert "<small>1/min</small>" in speed.text
+
+
+UNIT = f"/units/{BUS}/1"
+PROTOCOL = re.compile(r"\b8[0-9]h\b|#\d+\b")
+
+
+@pytest.fixture
+async def running(tmp_path: Path) -> AsyncIterator[House]:
+    async with complete_app(tmp_path) as running:
+        await played_line(running.services)
+        yield running
+
+
+async def test_the_neighbors_are_those_of_the_floor_and_open_in_the_same_view(running: House) -> None:
+    client = await running.signed_in(Role.VIEWER)
+    first, second = (await client.get(UNIT)).text, (await client.get(f"/units/{BUS}/2/parameters")).text
+    assert ('rel="prev"' in first, f'href="/units/{BUS}/2" rel="next"' in first) == (False, True)
+    assert f'href="/units/{BUS}/1/parameters" rel="prev"' in second
+
+
+async def test_words_of_the_protocol_are_under_details_alone(running: House) -> None:
+    page = (await (await running.signed_in(Role.ENGINEER)).get(UNIT)).text
+    shown, details = page[page.index("<main") :].split('<details class="card plate__more">')
+    assert PROTOCOL.findall(re.sub(r"<[^>]*>", " ", shown)) == []
+    assert "84h" in details
+
+
+async def test_who_may_replace_a_unit_finds_it_before_every_other_button(running: House) -> None:
+    for role, may in ((Role.VIEWER, False), (Role.ENGINEER, True)):
+        page = (await (await running.signed_in(role)).get(UNIT)).text
+        plate = page[page.index('class="plate"') :]
+        assert ("Replace this unit" in plate) is may
+        first = re.search(r'class="button[^>]*>([^<]*)', plate)
+        assert (first is not None and first[1] == "Replace this unit") is may

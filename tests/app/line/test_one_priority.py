@@ -171,12 +171,3 @@ def test_every_rung_and_event_of_a_condition_has_what_it_needs(row: Condition[An
 def test_the_rungs_are_in_the_order_in_which_each_needs_the_one_before() -> None:
     rungs = [row.rung for row in BY_READING]
     assert list(dict.fromkeys(rungs)) == ["e-stop", "run", "mode", "link", "ramp"]
-
-
-def test_all_units_lost_are_one_cause_with_the_priority_of_its_alarm() -> None:
-    live = line()
-    bus = live.buses["dry"]
-    bus.apply([UnitLink(unit=number, at=NOW, link="offline") for number in bus.units])
-    summary = screen(live).shown["line_summary"]
-    assert (summary["abnormal"], summary["level"]) == (f"{len(bus.units)}", of_alarm("no_unit_responds"))
-    assert summary["cause"].startswith("· No unit responds")

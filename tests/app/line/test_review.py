@@ -88,20 +88,6 @@ def test_a_unit_that_never_responded_has_only_that_remark() -> None:
     assert remarks(live) == ("obstacle_offline", [])
 
 
-def test_the_dialect_decides_which_level_is_an_emergency_stop() -> None:
-    live = after(reading(inputs=RUN))
-    bus = live.buses["dry"]
-    object.__setattr__(bus.settings, "estop_healthy", 0)
-    assert remarks(live) == ("", [])
-
-
-def test_the_numbers_are_params() -> None:
-    bus = after(reading(at=96.4)).buses["dry"]
-    obstacle = obstacle_of(bus, bus.units[1], NOW, block="{age}")
-    assert obstacle == Message.of("obstacle_blocked", block="{age}")
-    assert [risk.params for risk in risks_of(bus, bus.units[1], NOW, Ramp(7, 0, 0.0))] == [{"age": 4}, {}]
-
-
 def test_a_new_setpoint_discards_another_that_is_staged() -> None:
     bus = after().buses["dry"]
     bus.units[1].staged = 1230
@@ -160,22 +146,6 @@ def test_each_that_cannot_take_it_has_its_reason() -> None:
     ]
 
 
-def test_with_the_port_closed_all_are_left_out() -> None:
-    live = line()
-    live.buses["dry"].apply([BusLink(at=100.0, link="closed")])
-    assert plan_zero(live.buses["dry"], unblocked, 100.0).units == {}
-
-
-def test_a_unit_without_a_ramp_and_one_that_does_not_run_are_named() -> None:
-    live = line()
-    live.buses["dry"].apply([ParameterValue(unit=1, number=7, at=1, raw=0), reading(2, inputs=HEALTHY)])
-    plan = plan_zero(live.buses["dry"], unblocked, 100.0)
-    assert [(name, risk.code) for name, risk in plan.risks] == [
-        ("Unit 1", "risk_no_ramp"),
-        ("Unit 2", "risk_run_off"),
-    ]
-
-
 def at_120(units: int = 4, **keys: object) -> BusLive:
     """Every unit at 120.0 m/min, one web."""
     bus = line(units).buses["dry"]
@@ -205,10 +175,6 @@ def test_a_neighbor_that_stays_is_named_with_its_speed_and_the_draw() -> None:
         " außerhalb seines Bandes von \N{MINUS SIGN}0,5 bis 2,0 %",
         True,
     )
-
-
-def test_within_the_band_there_is_nothing_to_state() -> None:
-    assert texts(at_120(**BANDED), {4: 1212}) == []
 
 
 def test_without_a_band_a_changed_draw_is_stated_quietly() -> None:

@@ -19,7 +19,7 @@ from app.core.web.access import Person, Role
 from app.errors import Problem
 from app.line.commands import safeguards as service
 from app.line.commands import service as command_service
-from app.line.commands.control import LAPSES_AFTER_S, REQUEST_RESTS_S, Control
+from app.line.commands.control import LAPSES_AFTER_S, Control
 from app.line.commands.limits import (
     NO_LIMITS,
     CommandBlock,
@@ -469,32 +469,10 @@ def test_taking_again_keeps_since() -> None:
     assert control.take("anna", 9.0, AT + 4.0).since == AT
 
 
-def test_only_the_holder_uses_it() -> None:
-    control = Control(required=True)
-    control.take("ben", 0.0, AT)
-    assert control.use("anna", 0.0) == Message.of("control_held", who="ben")
-    assert control.use("ben", 0.0) is None
-
-
-def test_control_is_revoked_from_its_holder_only() -> None:
-    control = Control(required=True)
-    control.take("anna", 0.0, AT)
-    assert not control.revoke("ben", 1.0)
-    assert control.holding(1.0) is not None
-    assert control.revoke("anna", 1.0)
-    assert control.holding(0.0) is None
-
-
 def test_what_had_lapsed_is_not_given_back() -> None:
     control = Control(required=True)
     control.take("anna", 0.0, AT)
     assert not control.revoke("anna", LAPSES_AFTER_S)
-
-
-def test_free_control_is_reported() -> None:
-    assert Control(required=True).use("anna", 0.0) == Message("control_not_taken")
-    with pytest.raises(Problem, match="free"):
-        Control(required=True).release("anna", 0.0)
 
 
 def test_a_review_names_the_holder_and_takes_nothing() -> None:
@@ -511,18 +489,6 @@ def test_a_review_names_the_holder_and_takes_nothing() -> None:
 def test_without_the_requirement_all_operators_may() -> None:
     assert Control(required=False).use("anna", 0.0) is None
     assert Control(required=False).objection("anna", 0.0) is None
-
-
-def test_a_request_of_another_account_does_not_end_the_rest_of_a_declined_one() -> None:
-    control = Control(required=True)
-    control.take("anna", 0.0, AT)
-    control.request("ben", 1.0)
-    control.end_request("anna", 2.0)
-    control.request("chef", 3.0)
-    control.end_request("chef", 4.0)
-    with pytest.raises(Problem, match="requested again in"):
-        control.request("ben", 5.0)
-    assert control.request("ben", 2.0 + REQUEST_RESTS_S)
 
 
 PEOPLE = st.sampled_from(["anna", "ben", "chef"])

@@ -412,30 +412,18 @@ def test_a_bus_without_any_response_is_one_entry() -> None:
             "1 of 2 at speed, the others at zero",
             "1 von 2 auf Sollwert, die anderen auf null",
         ),
+        ([{}], "Running 120.0 m/min · 1 unit at speed", "Läuft mit 120,0 m/min · 1 Regler auf Sollwert"),
+        ([{"commanded": 0, "actual": 0}], "1 unit at zero", "1 Regler auf null"),
     ],
 )
 def test_the_verdict_of_a_normal_line_is_one_text(
     readings: list[dict[str, int]], verdict: str, german: str
 ) -> None:
-    live = line()
+    live = line(len(readings))
     live.buses["dry"].apply([reading(unit, **changes) for unit, changes in enumerate(readings, 1)])
     for tag, text in (("en", verdict), ("de", german)):
         shown = screen(live, tag).shown["line_summary"]
         assert (shown["verdict"], shown["counts"], shown["level"]) == (text, "", "")
-
-
-@pytest.mark.parametrize(
-    ("changes", "verdict", "german"),
-    [
-        ({}, "Running 120.0 m/min · 1 unit at speed", "Läuft mit 120,0 m/min · 1 Regler auf Sollwert"),
-        ({"commanded": 0, "actual": 0}, "1 unit at zero", "1 Regler auf null"),
-    ],
-)
-def test_the_verdict_of_one_unit(changes: dict[str, int], verdict: str, german: str) -> None:
-    live = line(1)
-    live.buses["dry"].apply([reading(1, **changes)])
-    assert screen(live).shown["line_summary"]["verdict"] == verdict
-    assert screen(live, "de").shown["line_summary"]["verdict"] == german
 
 
 def test_without_units_the_verdict_reports_it() -> None:
@@ -456,13 +444,3 @@ def test_a_ramp_updates_its_unit_and_not_the_line_each_second() -> None:
     changed = shown.render("dry", [1], 103.0, include_bus=False)
     assert changed["dry/1"]["status"] == "Ramping to 120.0, about 4 s left"
     assert "line_summary" not in changed
-
-
-def test_checks_are_shown_with_the_cause() -> None:
-    live = line()
-    shown = screen(live)
-    live.buses["dry"].apply([reading(1, at=100.2, inputs=2, actual=0)])
-    assert (
-        shown.render("dry", [1], 100.2, include_bus=False)["dry/1"]["check"]
-        == "Check the run contact at the drive"
-    )

@@ -170,15 +170,6 @@ async def test_the_run_of_a_recipe_before_is_found_by_the_events(house: House) -
     assert (earlier["name"], earlier["before"]) == ("Liner", None)
 
 
-async def test_a_csv_for_people_has_one_row_a_time_with_names(house: House) -> None:
-    viewer = await house.program(Role.VIEWER)
-    query = {"series": [f"{BUS}/1/actual", f"{BUS}/2/run"], "layout": "table"}
-    response = await viewer.get("/api/v1/history/export", params=query, headers={"Accept-Language": "de"})
-    [head, *_] = csv.reader(io.StringIO(response.content.decode("utf-8-sig")))
-    assert head[0] == "Zeit"
-    assert len(head) == 4
-
-
 async def test_a_name_in_a_csv_for_people_is_no_formula(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
