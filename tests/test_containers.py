@@ -26,19 +26,6 @@ IMAGE = [
     for line in text_of(DEPLOY / "Containerfile").splitlines()
     if line and not line.startswith("#")
 ]
-KEYS_OF_PODMAN = {
-    *("ContainerName", "DropCapability", "Exec", "Image", "NoNewPrivileges", "PodmanArgs", "PublishPort"),
-    *(
-        "HealthCmd",
-        "HealthInterval",
-        "HealthOnFailure",
-        "HealthRetries",
-        "HealthStartPeriod",
-        "HealthTimeout",
-    ),
-    *("ReadOnly", "Volume"),
-}
-"""Those of [Container] that are used here, each in podman-systemd.unit(5) of Podman 4.5."""
 
 
 @pytest.fixture
@@ -120,15 +107,6 @@ def test_each_command_is_one_of_the_product() -> None:
 def test_the_data_are_kept_and_every_address_is_served(settings: Settings) -> None:
     assert settings.server.data.parent == DATA, "the audit key may have to be made beside the data"
     assert settings.server.host == "0.0.0.0", "what listens on 127.0.0.1 cannot be published"
-
-
-def test_podman_knows_every_key() -> None:
-    unit = quadlet()
-    assert set(unit["Container"]) <= KEYS_OF_PODMAN
-    assert unit["Unit"]["StartLimitIntervalSec"] == "0", "a fault that lasts must not end it for good"
-    assert unit["Service"]["Restart"] == "always"
-    for file in QUADLET.iterdir():
-        assert f"(deploy/quadlet/{file.name})" in TEXT
 
 
 def test_the_worker_outside_goes_to_the_published_port(settings: Settings) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import subprocess
@@ -23,18 +22,6 @@ def test_every_metric_that_is_read_exists(file: Path) -> None:
     read = set(READ.findall(file.read_text(encoding="utf-8")))
     assert read - metric_names() - OF_PROCESS == set()
     assert len(read) > 8
-
-
-def test_panels_of_the_dashboard_lie_side_by_side_and_have_a_title() -> None:
-    panels = json.loads(DASHBOARD.read_text(encoding="utf-8"))["panels"]
-    taken: set[tuple[int, int]] = set()
-    for panel in panels:
-        place = panel["gridPos"]
-        cells = {(place["x"] + dx, place["y"] + dy) for dx in range(place["w"]) for dy in range(place["h"])}
-        assert not cells & taken, panel["title"]
-        assert max(x for x, _ in cells) < 24, panel["title"]
-        taken |= cells
-    assert len({panel["title"] for panel in panels}) == len({panel["id"] for panel in panels}) == len(panels)
 
 
 @pytest.fixture(scope="module")

@@ -152,6 +152,52 @@ def test_a_suppressed_alarm_whose_definition_ends_is_normal_and_no_longer_suppre
     assert (facts.state, facts.suppressed) == ("normal", False)
 
 
+@pytest.mark.parametrize(
+    ("active", "acknowledged", "latched", "base", "acknowledge", "reset"),
+    [
+        (False, True, False, "normal", None, None),
+        (True, False, False, "unack_active", "ack_active", None),
+        (True, True, False, "ack_active", None, None),
+        (False, False, False, "rtn_unack", "normal", None),
+        (False, False, True, "latched_unack", "latched_ack", None),
+        (False, True, True, "latched_ack", None, "normal"),
+    ],
+)
+def test_people_lead_a_base_state_only_where_the_standard_does(
+    active: bool, acknowledged: bool, latched: bool, base: str, acknowledge: str | None, reset: str | None
+) -> None:
+    facts = AlarmFacts(active=active, acknowledged=acknowledged, latched=latched)
+    assert facts.base == base
+    for change, target in ((rules.acknowledge, acknowledge), (rules.reset, reset)):
+        if target is None:
+            with pytest.raises(NoTransitionError):
+                change(facts, AlarmAttributes(), UnixTime(1))
+        else:
+            assert change(facts, AlarmAttributes(), UnixTime(1))[0].base == target
+
+
+def test_a_shelf_for_once_ends_with_the_condition_and_hides_from_acts_until_then() -> None:
+    how = AlarmAttributes()
+    facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = rules.shelve(facts, how, UnixTime(11), for_s=88, once=True)
+    for hidden_act in (rules.acknowledge, rules.reset):
+        with pytest.raises(NoTransitionError):
+            hidden_act(facts, how, UnixTime(12))
+    with pytest.raises(NoTransitionError):
+        rules.shelve(facts, how, UnixTime(12), for_s=87)
+    facts, done = rules.observe(facts, how, holds=False, at=UnixTime(13))
+    assert ([each.trigger for each in done], facts.shelved_until) == (["clear", "unshelve"], None)
+
+
+def test_a_shelving_is_ended_before_its_time_and_only_once() -> None:
+    how = AlarmAttributes()
+    facts, _ = rules.shelve(AlarmFacts(), how, UnixTime(1), for_s=60)
+    facts, done = rules.unshelve(facts, how, UnixTime(2))
+    assert ([each.trigger for each in done], facts.shelved_until) == (["unshelve"], None)
+    with pytest.raises(NoTransitionError):
+        rules.unshelve(facts, how, UnixTime(3))
+
+
 def test_an_unknown_condition_stops_a_delay_and_changes_nothing_else() -> None:
     how = AlarmAttributes(on_delay_s=2)
     facts, _ = rules.observe(AlarmFacts(), how, holds=True, at=UnixTime(1))

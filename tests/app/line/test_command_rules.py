@@ -378,18 +378,14 @@ def unit(parameters: dict[int, int | None]) -> UnitLive:
         ({8: 0, 2: 2000}, Limits(lowest=100, highest=1500), SetpointRange("speed", 100, 1500, "limits")),
         ({8: 0, 2: 2000}, Limits(lowest=2500), SetpointRange("speed", 2000, 2000, "limits")),
         ({8: 0, 2: 0}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
-        ({8: 0, 2: None}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
         ({8: 0, 2: 4_000_000}, NO_LIMITS, SetpointRange("speed", 0, 99999, "protocol")),
         ({8: None, 2: 2000}, NO_LIMITS, SetpointRange("speed", 0, 2000, "display")),
         ({**FOLLOWER, 2: 2000}, NO_LIMITS, SetpointRange("ratio", 5000, 15000, "ratio")),
-        ({**FOLLOWER, 8: 2}, NO_LIMITS, SetpointRange("ratio", 5000, 15000, "ratio")),
-        (FOLLOWER, Limits(highest=20000), SetpointRange("ratio", 5000, 15000, "ratio")),
         (FOLLOWER, Limits(lowest=8000, highest=9000), SetpointRange("ratio", 8000, 9000, "limits")),
         (FOLLOWER, Limits(lowest=20000), SetpointRange("ratio", 15000, 15000, "limits")),
         (FOLLOWER, Limits(highest=3000), SetpointRange("ratio", 5000, 5000, "limits")),
         ({8: 1, 31: 79999, 38: 99999}, NO_LIMITS, SetpointRange("ratio", 99999, 99999, "ratio")),
         ({8: 1, 31: None, 38: None}, NO_LIMITS, SetpointRange("ratio", 0, 99999, "protocol")),
-        ({8: 1, 31: 0, 38: 0}, NO_LIMITS, SetpointRange("ratio", 0, 99999, "protocol")),
     ],
 )
 def test_the_range(parameters: dict[int, int | None], limits: Limits, expected: SetpointRange) -> None:

@@ -156,7 +156,6 @@ RAMPING: list[tuple[dict[int, int | None], str]] = [
     ({6: 5000}, "Ramping to 120.0, about 75 s left"),
     ({6: 9999, 2: 400}, "Ramping to 120.0, about 12 min left"),
     ({6: None}, "Ramping to 120.0"),
-    ({6: 0}, "Ramping to 120.0"),
     ({2: None}, "Ramping to 120.0"),
     ({8: 1}, "Ramping to 120.0"),
 ]

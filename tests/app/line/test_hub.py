@@ -146,7 +146,7 @@ def test_what_moving_units_measure_goes_at_once_unless_many_move() -> None:
 
 
 async def test_among_very_many_delayed_changes_go_as_one() -> None:
-    made = broadcast()
+    made = broadcast(flow()[0])
     made.flow.share(FEW_PAGES + 1)
     browser = joined(made)
     made.publish({GROUP: {"actual": "1"}})
@@ -160,7 +160,7 @@ async def test_among_very_many_delayed_changes_go_as_one() -> None:
 
 
 async def test_a_page_that_opens_meanwhile_misses_no_number() -> None:
-    made = broadcast()
+    made = broadcast(flow()[0])
     made.flow.share(FEW_PAGES + 1)
     joined(made)
     made.publish({GROUP: {"actual": "1"}})
@@ -171,7 +171,7 @@ async def test_a_page_that_opens_meanwhile_misses_no_number() -> None:
 
 
 async def test_nothing_is_kept_without_pages() -> None:
-    made = broadcast()
+    made = broadcast(flow()[0])
     made.flow.share(FEW_PAGES + 1)
     browser = joined(made)
     made.publish({GROUP: {"actual": "1"}})
@@ -187,7 +187,7 @@ async def test_nothing_is_kept_without_pages() -> None:
 
 @pytest.mark.parametrize(("always", "number"), [(False, 0), (True, 1)])
 async def test_without_changes_only_a_heartbeat_is_sent(always: bool, number: int) -> None:
-    made = broadcast()
+    made = broadcast(flow()[0])
     joined(made)
     made.publish({}, always=always)
     assert made.number == number

@@ -173,9 +173,7 @@ def test_a_message_of_a_worker_is_no_format(tag: str, message: Message, meaning:
     [
         ({"line": ""}, "", ""),
         ({"line": "anna"}, "anna", "anna"),
-        ({"line": "", "wet": ""}, "", ""),
         ({"line": "anna", "wet": "anna"}, "anna, every bus", "anna, jeder Bus"),
-        ({"line": "anna", "wet": "ben"}, "line: anna, wet: ben", "line: anna, wet: ben"),
         ({"line": "", "wet": "ben"}, "line: free, wet: ben", "line: frei, wet: ben"),
         ({"line": "", "wet": "ben", "dry": ""}, "wet: ben, the others: free", "wet: ben, die anderen: frei"),
         ({"line": "a (token)", "wet": ""}, "line: a (token), wet: free", "line: a (token), wet: frei"),

@@ -266,23 +266,6 @@ async def test_a_flood_is_one_message_for_people_and_each_for_programs(
         assert digest.get_content().count("urgent: Unwind · Emergency stop") == 4
 
 
-async def test_an_escalation_goes_to_people_on_duty(
-    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
-) -> None:
-    smtp = {"host": "127.0.0.1", "port": servers[0].port, "security": "none", "sender": "lineside@plant"}
-    duty = {"starts": "00:00", "ends": "00:00", "to": ["chief@plant"]}
-    group, rule = {"name": "chiefs", "duty": [duty]}, {"group": "chiefs", "after_s": 0.01}
-    async with running(tmp_path, *servers, smtp=smtp, group=[group], rule=[rule]) as path:
-        await path.estop(active=True)
-        await asyncio.sleep(0.02)
-        await path.advance()
-        mail = await path.mail.mail()
-        assert (mail["To"], mail["Subject"]) == (
-            "chief@plant",
-            "Not acknowledged, urgent: Unwind · Emergency stop",
-        )
-
-
 async def test_each_address_gets_one_heartbeat_a_day(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver], monkeypatch: pytest.MonkeyPatch
 ) -> None:
