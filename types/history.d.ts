@@ -97,6 +97,18 @@ interface Alarm {
   place: string;
 }
 
+/** What GET /api/v1/line has of a unit and the trends page takes. */
+interface UnitWindow {
+  id: number;
+  decimals: number | null;
+  at_speed_window_raw: number | null;
+}
+
+interface LineBus {
+  name: string;
+  units: UnitWindow[];
+}
+
 interface CatalogueUnit {
   key: string;
   name: string;

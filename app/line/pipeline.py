@@ -23,6 +23,7 @@ KEPT = (Reading, ParameterValue, UnitLink, BusLink)
 """Updates that history keeps; momentary ones do not wait in its queue."""
 IMPLAUSIBLE = Message("updates_implausible")
 KNOWN = Message("updates_late_known")
+STARTING_S = 15.0
 OVER_QUOTA = Message("updates_over_quota")
 """Reasons to refuse updates of a worker."""
 OTHER_RELEASE = "worker_version_differs"
@@ -96,7 +97,10 @@ class Pipeline:
             self._recorder.note(refused)
 
     def readings_came_late(self, at: UnixTime, count: int, since: UnixTime, until: UnixTime) -> None:
-        """Record that the worker delivered readings of an earlier span; trends mark it."""
+        """Record that the worker delivered readings of an earlier span; trends mark it. Those that waited no
+        longer than a server takes to start are no event."""
+        if at - since < STARTING_S:
+            return
         what = Message.of("event_readings_late", n=count, count=count, since=iso(since), until=iso(until))
         self._recorder.note(LineEvent("worker", None, at, what, "", "", series=what.code))
 

@@ -22,6 +22,15 @@ export function fetchSeries(names, range, points, signal) {
   return get("/series", query, signal);
 }
 
+/** The at-speed window of each unit "bus/unit" in what it displays, with its decimals.
+ * @returns {Promise<Map<string, UnitWindow>>} */
+export async function fetchWindows() {
+  const { buses } = await json(await fetch("/api/v1/line"));
+  return new Map(
+    /** @type {LineBus[]} */ (buses).flatMap(({ name, units }) => units.map((unit) => [`${name}/${unit.id}`, unit])),
+  );
+}
+
 /** The notes that people wrote about a time of the span. @param {string[]} names @param {Span} range
  * @returns {Promise<Note[]>} */
 export async function fetchNotes(names, range) {
@@ -69,12 +78,12 @@ export function exportAddress(names, range, file) {
 }
 
 /** One table: times, then for each result average, least and greatest, each through `shift`.
- * @param {Result[]} results @param {(value: number, place: number) => number} [shift] @returns {uPlot.AlignedData} */
+ * @param {Result[]} results @param {(value: number, place: number, column: number) => number} [shift] @returns {uPlot.AlignedData} */
 export function joined(results, shift = (value) => value) {
   if (!results.length) return [[]];
   const tables = results.map((result, i) => [
     result.t,
-    ...COLUMNS.map((name) => result[name].map((value) => (value === null ? null : shift(value, i)))),
+    ...COLUMNS.map((name, column) => result[name].map((value) => (value === null ? null : shift(value, i, column)))),
   ]);
   return uPlot.join(
     /** @type {uPlot.AlignedData[]} */ (tables),

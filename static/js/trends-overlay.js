@@ -59,7 +59,7 @@ export function overlayPlugin(trends, scaleOf, room) {
       ready: (plot) => plot.over.after(layer),
       draw: (plot) => {
         layer.style.cssText = plot.over.style.cssText;
-        layer.replaceChildren(...lines(trends), ...lanes(trends), ...names(plot, trends, scaleOf, room));
+        layer.replaceChildren(...lines(trends), ...lanes(trends, room), ...names(plot, trends, scaleOf, room));
       },
     },
   };
@@ -100,8 +100,9 @@ function lines(trends) {
   ];
 }
 
-/** What is above the chart: a row for each priority of alarms, and one of notes. @param {Trends} trends */
-function lanes(trends) {
+/** What is above the chart: a row for each priority of alarms, and one of notes. The last name of a row may go on over the room right
+ * of the chart. @param {Trends} trends @param {number} beside that room, in pixels */
+function lanes(trends, beside) {
   const { range, words } = trends;
   const { alarms, notes } = happened(trends);
   const [rows, left] = [alarmRows(alarms, range), percentIn(range)];
@@ -116,7 +117,8 @@ function lanes(trends) {
       const place = { left: x, top: top(row), width: end - x };
       const mark = part("trends__alarm alarm-priority", place, part("alarm-priority__shape", {}));
       Object.assign(mark.dataset, { is: priority, list: "alarms", index });
-      return room < LEAST_ROOM ? [mark] : [part("trends__who", { left: end, top: top(row), "max-width": room }, label), mark];
+      const most = end + room < 100 ? room : `calc(${room}% + ${beside}px)`;
+      return room < LEAST_ROOM ? [mark] : [part("trends__who", { left: end, top: top(row), "max-width": most }, label), mark];
     }),
     ...notes.flatMap(({ t }, index) => {
       const flag = part("trends__flag", { left: left(t), top: top(rows) }, part("", {}, String(index + 1)));

@@ -16,6 +16,11 @@ const [BAND, DIMMED] = [20, 0.18];
 /** A line of an earlier time is narrow, dotted and lighter. */
 const PAST = { dash: [1, 3], width: 1.5, percent: 70 };
 const INVISIBLE = "rgb(0 0 0 / 0)";
+/** A scale is no narrower than this part of its highest value, and than ten steps of what a unit displays: the usual unrest of a
+ * speed is no movement. */
+const [LEAST_PART, LEAST_STEPS] = [0.04, 10];
+/** By how many at-speed windows average, least and greatest of a commanded speed are moved: its band is where a unit is at speed. */
+const AROUND = [0, -1, 1];
 /** The least width of a span that is selected, in pixels. */
 const SELECTED = 8;
 
@@ -51,10 +56,11 @@ export class Picture {
     this.plot?.series.forEach((series, i) => {
       if (i) series.alpha = dimmed.has(this.lines[Math.floor((i - 1) / 3)].key) ? DIMMED : 1;
     });
-    /** @param {number} value @param {number} i */
-    const lifted = (value, i) => {
+    const windows = this.lines.map((line) => (line.past ? 0 : this.trends.catalogue.window(line)));
+    /** @param {number} value @param {number} i @param {number} column */
+    const lifted = (value, i, column) => {
       const lane = this.bits.indexOf(this.lines[i]);
-      return lane < 0 ? value : this.bits.length - 1 - lane + value * LANE_FILL;
+      return lane < 0 ? value + AROUND[column] * windows[i] : this.bits.length - 1 - lane + value * LANE_FILL;
     };
     this.plot?.setData(joined(this.lines, lifted), false);
     this.move();
@@ -143,11 +149,13 @@ export class Picture {
     };
   }
 
-  /** The range of a scale as uPlot would choose it, and below it room for the lanes.
+  /** The range of a scale as uPlot would choose it, but never so narrow that noise looks like movement, and below it room for the lanes.
    * @param {uPlot} _plot @param {number | null} least @param {number | null} most @param {string} scale @returns {uPlot.Range.MinMax} */
   aboveLanes(_plot, least, most, scale) {
     if (least === null || most === null) return [null, null];
-    const [low, high] = /** @type {[number, number]} */ (uPlot.rangeNum(least, most, 0.1, true));
+    const steps = this.lines.filter((line) => !isBit(line)).map(({ decimals }) => LEAST_STEPS * 10 ** -(decimals ?? 0));
+    const pad = Math.max(0, Math.max(LEAST_PART * Math.abs(most), Math.min(...steps)) - (most - least)) / 2;
+    const [low, high] = /** @type {[number, number]} */ (uPlot.rangeNum(least - pad, most + pad, 0.1, true));
     this.floors[scale] = low;
     const lanes = this.lanesBelow();
     return [low - ((high - low) * lanes) / (this.chartHeight() - lanes), high];

@@ -23,6 +23,15 @@ export class Catalogue {
   constructor(units, words) {
     this.units = new Map(units.map((unit) => [unit.key, unit]));
     this.words = words;
+    /** @type {Map<string, UnitWindow>} */
+    this.windows = new Map();
+  }
+
+  /** How far a unit may be from a commanded speed and is at speed; 0 of other values, and where it is not known.
+   * @param {{ key: string, value: string, decimals: number | null }} result */
+  window({ key, value, decimals }) {
+    const known = value === "commanded" ? this.windows.get(unitOf(key)) : undefined;
+    return known && known.decimals === decimals ? (known.at_speed_window_raw ?? 0) / 10 ** (decimals ?? 0) : 0;
   }
 
   /** @param {string} name @returns {[CatalogueUnit | undefined, string]} */

@@ -4,7 +4,7 @@ import { now } from "./clock.js";
 import { fetchAlarms, fetchMarks } from "./history-requests.js";
 import { formatTime } from "./site-time.js";
 import { bindControls, bindGestures, bindNotes, showControls } from "./trends-controls.js";
-import { comparison, fetchNotes, fetchSeries, unread } from "./trends-data.js";
+import { comparison, fetchNotes, fetchSeries, fetchWindows, unread } from "./trends-data.js";
 import { Picture } from "./trends-plot.js";
 import { length, shortTime } from "./trends-time.js";
 import { clearLists, drawLists, fineness, isBit, summaryText, Values, valuesText } from "./trends-values.js";
@@ -211,6 +211,13 @@ new MutationObserver(() => picture.recolour()).observe(document.documentElement,
 showControls(root, trends);
 const first = fetchCurves();
 first.finally(fetchEvents);
+first.then(fetchWindows).then(
+  (found) => {
+    catalogue.windows = found;
+    picture.draw();
+  },
+  () => {},
+);
 setInterval(beat, BEAT_MS);
 // What every page has comes after the picture, or without it when the history is slow.
 Promise.race([first, new Promise((late) => setTimeout(late, REST_WAITS_MS))]).finally(() => import("./main.js"));

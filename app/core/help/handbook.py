@@ -56,17 +56,17 @@ GERMAN = ("de",)
 WITH_A_PAGE = ("operator", "electrician", "engineer", "administrator")
 """The roles that have a chapter of one page to print."""
 CHAPTERS = (
-    Chapter("guide/tutorial.md", LEARN),
+    Chapter("guide/tutorial.md", LEARN, GERMAN),
     Chapter("guide/operator.md", LEARN, GERMAN),
     *(Chapter(f"guide/{role}-page.md", LEARN, GERMAN) for role in WITH_A_PAGE),
     Chapter("guide/troubleshooting.md", DO, GERMAN),
     Chapter("hardware.md", DO),
-    Chapter("guide/recipes.md", DO),
-    Chapter("guide/own-alarms.md", DO),
-    Chapter("guide/reports.md", DO),
-    Chapter("guide/replace-a-drive.md", DO),
+    Chapter("guide/recipes.md", DO, GERMAN),
+    Chapter("guide/own-alarms.md", DO, GERMAN),
+    Chapter("guide/reports.md", DO, GERMAN),
+    Chapter("guide/replace-a-drive.md", DO, GERMAN),
     Chapter("guide/several-lines.md", DO),
-    Chapter("guide/users.md", DO),
+    Chapter("guide/users.md", DO, GERMAN),
     Chapter("guide/company-accounts.md", DO),
     Chapter("guide/backup.md", DO),
     Chapter("spare.md", DO),

@@ -197,7 +197,8 @@ async def compare_page(
         everything=everything,
         differing=[row for row in rows if row.kind in DIFFERENT and row not in operating],
         operating=operating,
-        unknown=[row for row in rows if row.kind == "unknown"],
+        unknown=[row for row in rows if row.kind == "unknown" and not PARAMETERS[row.number].secret],
+        password_compared=not any(row.kind == "unknown" and PARAMETERS[row.number].secret for row in rows),
         equal=[row for row in rows if row.kind == "equal"],
     )
 

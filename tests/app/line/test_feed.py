@@ -186,7 +186,7 @@ async def test_a_missing_number_requests_a_snapshot_once(site: House) -> None:
 @pytest.mark.usefixtures("quick_ticks")
 async def test_the_backlog_goes_to_history_alone_and_is_no_gap(site: House, kept: Kept) -> None:
     worker = await site.worker(state=snapshot(seq=7))
-    old = reading(1, 42)
+    old = msgspec.structs.replace(reading(1, 42), at=time.time() - 60)
     await worker.send(Batch(seq=5, sent_at=time.time(), updates=[old], live=False))
     await worker.receive(Delivered)
     assert kept.readings == [old]
