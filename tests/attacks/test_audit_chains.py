@@ -87,13 +87,13 @@ def nothing(row: Row) -> Row:
     return row | {"what": "nothing happened"}
 
 
-@pytest.mark.parametrize("number", range(1, 10))
+@pytest.mark.parametrize("number", [1, 5, 9])
 def test_an_entry_is_changed(plant: FormerPlant, number: int) -> None:
     plant.attack(f"UPDATE events SET what = 'nothing happened' WHERE id = {number}")
     assert plant.found().startswith(f"{number}: ")
 
 
-@pytest.mark.parametrize("number", range(1, 10))
+@pytest.mark.parametrize("number", [1, 5, 9])
 def test_an_entry_is_removed(plant: FormerPlant, number: int) -> None:
     plant.attack(f"DELETE FROM events WHERE id = {number}")
     assert plant.found().startswith(f"{number}: ")
@@ -107,7 +107,7 @@ def test_a_complete_chain_is_removed(plant: FormerPlant, chain: str) -> None:
     assert "is missing" in plant.found() or "were written" in plant.found()
 
 
-@pytest.mark.parametrize(("number", "to"), [(5, DRY), (6, WET), (4, SITE), (8, DRY), (7, None)])
+@pytest.mark.parametrize(("number", "to"), [(5, DRY), (4, SITE), (7, None)])
 def test_an_entry_is_moved_to_another_chain(plant: FormerPlant, number: int, to: str | None) -> None:
     chain = "NULL" if to is None else f"'{to}'"
     plant.attack(f"UPDATE events SET chain = {chain} WHERE id = {number}")

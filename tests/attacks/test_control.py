@@ -12,16 +12,19 @@ import app.line.commands.safeguards as service_module
 from app.core.web.access import Role
 from app.line.commands.control import REQUEST_LAPSES_AFTER_S
 from app.line.commands.safeguards import MAX_REQUESTS
-from app.people.auth.accounts import Accounts
 from bus.instants import monotonic_now
-from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, played_line
+from tests.attacks.withdrawals import withdraw
+from tests.sizes import in_turn
 
 API = f"/api/v1/buses/{BUS}/control"
 
 
-WAYS_TO_LEAVE = ("signed out", "removed", "disabled", "demoted", "removed and made again")
+WAYS_TO_LEAVE = ("signed out", "removed", "disabled", "demoted", "made again")
+Leaver = tuple[str, set[int], str | None]
+LEAVERS: list[Leaver] = [("ben", {409, 422}, "anna"), ("anna", {401, 403}, None)]
+"""Who leaves, how a grant is refused then, and who holds control."""
 
 
 @pytest.fixture
@@ -96,45 +99,22 @@ async def test_a_lapsed_request_is_not_granted(
     assert await holder(anna) == "anna"
 
 
-@pytest.mark.parametrize("how", WAYS_TO_LEAVE)
-@pytest.mark.parametrize(
-    ("name", "refused", "then"),
-    [
-        pytest.param("ben", {409, 422}, "anna", id="who requested"),
-        pytest.param("anna", {401, 403}, None, id="who holds"),
-    ],
-)
+@pytest.mark.parametrize(("how", "leaver"), in_turn(WAYS_TO_LEAVE, LEAVERS))
 async def test_nothing_is_granted_by_or_to_one_who_has_left(
     house: House,
     anna: httpx.AsyncClient,
     ben: httpx.AsyncClient,
-    name: str,
-    refused: set[int],
-    then: str | None,
+    leaver: Leaver,
     how: str,
 ) -> None:
+    name, refused, then = leaver
     await ben.post(f"{API}/request")
     clients = {"anna": anna, "ben": ben}
-    await leave(house, clients.pop(name), name, how)
+    await withdraw(house, how, name, clients.pop(name))
     assert (await anna.post(f"{API}/grant")).status_code in refused
     (stays,) = clients.values()
     shown = (await stays.get(API)).json()
     assert (shown["holder"], shown["request"]) == (then, None)
-
-
-async def leave(house: House, client: httpx.AsyncClient, name: str, how: str) -> None:
-    accounts = house.services[Accounts]
-    match how:
-        case "signed out":
-            await client.post("/logout")
-        case "disabled":
-            await accounts.set_disabled(name, True, **BY)
-        case "demoted":
-            await accounts.set_role(name, Role.VIEWER, **BY)
-        case _:
-            await accounts.remove_user(name, **BY)
-    if how == "removed and made again":
-        await house.add(name, Role.OPERATOR)
 
 
 async def test_requests_without_end_disturb_six_times_and_keep_no_one_else_from_one(

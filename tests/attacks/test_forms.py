@@ -22,6 +22,7 @@ from tests.app.complete_app import PASSWORD, House, complete_app
 from tests.app.fake_worker import until
 from tests.app.played_commands import HEALTHY, REMOTE
 from tests.app.played_line import BUS, PlayedLine, played_line
+from tests.attacks.withdrawals import withdraw
 
 CONFIGURATION = f"""
 [server]
@@ -159,26 +160,15 @@ async def test_a_form_that_is_pressed_twice_is_one_command(house: House, line: P
     assert line.written == [(1, 6, 5)]
 
 
-@pytest.mark.parametrize("how", ["signed out", "demoted", "disabled", "another password", "made again"])
+@pytest.mark.parametrize("how", ["signed out", "demoted", "made again"])
 async def test_a_form_of_a_session_that_is_over_sends_nothing(
     house: House, line: PlayedLine, how: str
 ) -> None:
     client = await house.signed_in(Role.ENGINEER)
-    path, accounts, name = f"/units/{BUS}/1/parameters/6", house.services[Accounts], "the-engineer"
+    path = f"/units/{BUS}/1/parameters/6"
     tray = {"raw": "5"}
     assert (await send(client, f"/units/{BUS}/1/tray/parameters/6", tray, "")).status_code == 200
-    match how:
-        case "signed out":
-            await client.post("/logout")
-        case "demoted":
-            await accounts.set_role(name, Role.OPERATOR, **BY)
-        case "disabled":
-            await accounts.set_disabled(name, True, **BY)
-        case "another password":
-            await accounts.set_password(name, f"x{PASSWORD}", **BY)
-        case _:
-            await accounts.remove_user(name, **BY)
-            await house.add(name, Role.ENGINEER)
+    await withdraw(house, how, client=client)
     cookies = dict(client.cookies)
     replayed = house.client()
     replayed.cookies.update(cookies)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -18,19 +17,7 @@ from tests.administrator import BY
 from tests.app.complete_app import House
 from tests.app.fake_worker import until
 from tests.app.played_line import BUS, PlayedLine
-from tests.attacks.withdrawals import (
-    ENGINEER,
-    Withdraw,
-    demoted,
-    disabled,
-    disabled_by_another_process,
-    given_another_password,
-    in_another_process,
-    noticed,
-    removed,
-    removed_by_another_process,
-    replaced_by_a_namesake,
-)
+from tests.attacks.withdrawals import ENGINEER, by_another_process, withdraw
 
 ROWS = 12
 STOPPED_AFTER = 4
@@ -59,32 +46,28 @@ async def ended(house: House, restore: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("withdraw", "cause"),
+    ("how", "cause"),
     [
-        (disabled, "rights withdrawn: the user was removed or disabled"),
-        (removed, "rights withdrawn: the user was removed or disabled"),
-        (demoted, "rights withdrawn: the role was lowered"),
-        (given_another_password, "rights withdrawn: the password was changed"),
-        (replaced_by_a_namesake, "rights withdrawn: the password was changed"),
-        (disabled_by_another_process, "rights withdrawn: the user was removed or disabled"),
-        (removed_by_another_process, "rights withdrawn: the user was removed or disabled"),
+        ("disabled", "the user was removed or disabled"),
+        ("demoted", "the role was lowered"),
+        ("another password", "the password was changed"),
+        ("made again", "the password was changed"),
+        ("removed by another process", "the user was removed or disabled"),
     ],
 )
-async def test_a_restore_stops_between_two_rows(
-    house: House, line: PlayedLine, tmp_path: Path, withdraw: Withdraw, cause: str
-) -> None:
+async def test_a_restore_stops_between_two_rows(house: House, line: PlayedLine, how: str, cause: str) -> None:
     client = await house.signed_in(Role.ENGINEER)
     plan = await planned(client, line)
 
     async def before(writes: int) -> None:
         if writes == STOPPED_AFTER - 1:
-            await withdraw(house, tmp_path)
+            await withdraw(house, how)
 
     line.before_write = before
     assert (await client.post(f"/api/v1/restores/{plan['id']}/start")).status_code == 202
     end = await ended(house, plan["id"])
     assert (end["state"], end["cause_code"]) == ("stopped", "rights_withdrawn")
-    assert end["cause"]["detail"].startswith(cause)
+    assert end["cause"]["detail"].startswith(f"rights withdrawn: {cause}")
     assert [row["outcome"] for row in end["rows"]] == (
         ["verified"] * STOPPED_AFTER + ["not_sent"] * (ROWS - STOPPED_AFTER)
     )
@@ -94,27 +77,19 @@ async def test_a_restore_stops_between_two_rows(
     assert cause in event["message"]
 
 
-@pytest.mark.parametrize("how", ["revoked", "revoked by another process", "expired", "created again"])
-async def test_a_restore_under_a_token_ends_with_the_token(
-    house: House, line: PlayedLine, tmp_path: Path, how: str
-) -> None:
+@pytest.mark.parametrize("how", ["revoked by another process", "expired", "created again"])
+async def test_a_restore_under_a_token_ends_with_the_token(house: House, line: PlayedLine, how: str) -> None:
     client = await house.program(Role.ENGINEER)
     plan = await planned(client, line)
-    accounts = house.services[Accounts]
+    accounts, of_token = house.services[Accounts], "WHERE name = 'key-engineer'"
 
     async def before(writes: int) -> None:
-        if writes != 0:
-            return
-        if how in ("revoked", "created again"):
+        if writes == 0 and how == "created again":
             await accounts.revoke_token("key-engineer", **BY)
-        if how == "created again":
             await accounts.create_token("key-engineer", Role.ENGINEER, **BY)
-        if how == "revoked by another process":
-            in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
-            await noticed(house)
-        if how == "expired":
-            in_another_process(tmp_path, "UPDATE tokens SET expires_at = 1.0 WHERE name = 'key-engineer'")
-            await noticed(house)
+        elif writes == 0:
+            change = "UPDATE tokens SET expires_at = 1.0" if how == "expired" else "DELETE FROM tokens"
+            await by_another_process(house, f"{change} {of_token}")
 
     line.before_write = before
     await client.post(f"/api/v1/restores/{plan['id']}/start")
@@ -148,7 +123,7 @@ async def swap_begun(client: httpx.AsyncClient, line: PlayedLine) -> None:
 
 
 async def test_the_restore_of_a_swap_stops_and_the_swap_is_not_verified(
-    house: House, line: PlayedLine, tmp_path: Path
+    house: House, line: PlayedLine
 ) -> None:
     client = await house.signed_in(Role.ENGINEER)
     await swap_begun(client, line)
@@ -156,7 +131,7 @@ async def test_the_restore_of_a_swap_stops_and_the_swap_is_not_verified(
     restore = planned.headers["location"].rpartition("/")[2]
 
     async def before(_: int) -> None:
-        await disabled(house, tmp_path)
+        await withdraw(house, "disabled")
 
     line.before_write = before
     form = {"row": ["6", "7"]}
@@ -170,13 +145,13 @@ async def test_the_restore_of_a_swap_stops_and_the_swap_is_not_verified(
 
 
 async def test_a_swap_from_the_sheet_is_not_verified_for_a_user_removed_meanwhile(
-    house: House, line: PlayedLine, tmp_path: Path
+    house: House, line: PlayedLine
 ) -> None:
     client = await house.signed_in(Role.ENGINEER)
     assert (await client.post(f"/swap/{BUS}/2", data={"source": "sheet"})).status_code == 303
 
     async def before(_: int) -> None:
-        await removed(house, tmp_path)
+        await withdraw(house, "removed")
 
     line.before_read = before
     response = await client.post(f"/swap/{BUS}/2/entered")

@@ -17,27 +17,17 @@ from app.people.audit.log import EventLog, Filter, Logged
 from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import until
 from tests.app.played_line import BUS, PlayedLine, played_line
-from tests.attacks.withdrawals import (
-    ENGINEER,
-    Withdraw,
-    demoted,
-    disabled,
-    disabled_by_another_process,
-    in_another_process,
-    removed,
-)
+from tests.attacks.withdrawals import ENGINEER, in_another_process, withdraw
 
 
-@pytest.mark.parametrize("withdraw", [disabled, demoted, disabled_by_another_process])
-async def test_a_batch_stops_between_two_units(
-    house: House, line: PlayedLine, tmp_path: Path, withdraw: Withdraw
-) -> None:
+@pytest.mark.parametrize("how", ["demoted", "disabled by another process"])
+async def test_a_batch_stops_between_two_units(house: House, line: PlayedLine, how: str) -> None:
     client = await house.signed_in(Role.ENGINEER)
     form = {"number": "6", "unit-1": "2.0", "unit-2": "3.0", "was-1": "0", "was-2": "0"}
     assert (await client.get(f"/batch/{BUS}?number=6")).status_code == 200
 
     async def before(_: int) -> None:
-        await withdraw(house, tmp_path)
+        await withdraw(house, how)
 
     line.before_write = before
     response = await client.post(f"/batch/{BUS}/write", data=form)
@@ -46,12 +36,12 @@ async def test_a_batch_stops_between_two_units(
     assert line.written == [(1, 6, 20)]
 
 
-async def test_a_change_of_a_group_is_given_up(house: House, line: PlayedLine, tmp_path: Path) -> None:
+async def test_a_change_of_a_group_is_given_up(house: House, line: PlayedLine) -> None:
     client = await house.signed_in(Role.ENGINEER)
     body = {"setpoints": {"1": {"raw": 10}, "2": {"raw": 20}}, "timeout_s": 20}
     pending = asyncio.create_task(client.post(f"/api/v1/buses/{BUS}/speeds", json=body))
     await until(lambda: line.held, "the command on its way")
-    await disabled(house, tmp_path)
+    await withdraw(house, "disabled")
     await until(lambda: line.cancelled, "the command given up")
     line.end("not_sent")
     response = await pending
@@ -59,9 +49,7 @@ async def test_a_change_of_a_group_is_given_up(house: House, line: PlayedLine, t
     assert "rights withdrawn: the user was removed or disabled" in response.json()["detail"]
 
 
-async def test_a_recipe_is_given_up_and_does_not_count_as_loaded(
-    house: House, line: PlayedLine, tmp_path: Path
-) -> None:
+async def test_a_recipe_is_given_up_and_does_not_count_as_loaded(house: House, line: PlayedLine) -> None:
     client = await house.signed_in(Role.ENGINEER)
     for unit in (1, 2):
         line.memory[unit][2] = 20_000
@@ -72,7 +60,7 @@ async def test_a_recipe_is_given_up_and_does_not_count_as_loaded(
     load = f"/api/v1/recipes/{saved.json()['id']}/load"
     pending = asyncio.create_task(client.post(load, json={"confirm": True}))
     await until(lambda: line.held, "the command on its way")
-    await demoted(house, tmp_path)
+    await withdraw(house, "demoted")
     await until(lambda: line.cancelled, "the command given up")
     line.end("not_sent")
     response = await pending
@@ -80,14 +68,12 @@ async def test_a_recipe_is_given_up_and_does_not_count_as_loaded(
     assert house.services[RecipeBook].loaded(BUS) is None
 
 
-async def test_a_schedule_outlives_who_made_it_and_only_reads(
-    house: House, line: PlayedLine, tmp_path: Path
-) -> None:
+async def test_a_schedule_outlives_who_made_it_and_only_reads(house: House, line: PlayedLine) -> None:
     """It belongs to the site, as a configuration does: its sets are read by the server itself."""
     client = await house.signed_in(Role.ENGINEER)
     wanted = {"minute_of_day": 0}
     assert (await client.put(f"/api/v1/buses/{BUS}/set-schedule", json=wanted)).status_code == 200
-    await removed(house, tmp_path)
+    await withdraw(house, "removed")
     now = datetime.now().astimezone()
     await house.services.buses[BUS][SetSchedule].save_due(now - timedelta(days=1), now)
     kept = await house.services[SetStore].summaries(BUS)
@@ -97,14 +83,12 @@ async def test_a_schedule_outlives_who_made_it_and_only_reads(
     assert refused.status_code == 401
 
 
-async def test_a_set_is_not_saved_for_a_user_removed_meanwhile(
-    house: House, line: PlayedLine, tmp_path: Path
-) -> None:
+async def test_a_set_is_not_saved_for_a_user_removed_meanwhile(house: House, line: PlayedLine) -> None:
     client = await house.signed_in(Role.ENGINEER)
 
     async def before(unit: int) -> None:
         if unit == 2:
-            await removed(house, tmp_path)
+            await withdraw(house, "removed")
 
     line.before_read = before
     begun = await client.post("/sets/take", data={"bus": BUS, "name": "mine"})
@@ -124,27 +108,27 @@ async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tm
         assert house.services.buses[BUS][Safeguards].holder() == "key-engineer (token)"
         released: list[Logged] = []
         house.services[EventLog].subscribe(released.append)
-        in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
+        in_another_process(house, "DELETE FROM tokens WHERE name = 'key-engineer'")
         await until(lambda: released, "control released, on disk")
         assert house.services.buses[BUS][Safeguards].holder() == ""
         [event], _ = await house.services[EventLog].page(Filter(), 1)
         assert (event["what"], event["old"]) == ("control released", "key-engineer (token)")
 
 
-async def test_a_change_of_the_baud_rate_is_given_up(house: House, line: PlayedLine, tmp_path: Path) -> None:
+async def test_a_change_of_the_baud_rate_is_given_up(house: House, line: PlayedLine) -> None:
     client = await house.signed_in(Role.ENGINEER)
     pending = asyncio.create_task(
         client.post(f"/api/v1/buses/{BUS}/baud", json={"baud": 4800, "confirm": True, "timeout_s": 20})
     )
     await until(lambda: line.held, "the command on its way")
-    await disabled(house, tmp_path)
+    await withdraw(house, "disabled")
     await until(lambda: line.cancelled, "the command given up")
     assert line.cancelled == [line.held[0].id]
     pending.cancel()
 
 
 async def test_a_write_that_ends_while_the_set_before_it_is_stored_is_an_event(
-    house: House, line: PlayedLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    house: House, line: PlayedLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The response was 403, and no event named the command."""
     client = await house.signed_in(Role.ENGINEER)
@@ -153,7 +137,7 @@ async def test_a_write_that_ends_while_the_set_before_it_is_stored_is_an_event(
     has_set_since = store.has_set_since
 
     async def withdrawn_meanwhile(bus: str, unit: int, since: float) -> bool:
-        await disabled(house, tmp_path)
+        await withdraw(house, "disabled")
         return await has_set_since(bus, unit, since)
 
     monkeypatch.setattr(store, "has_set_since", withdrawn_meanwhile)
