@@ -327,7 +327,7 @@ ATTACKS: dict[str, tuple[int, Attack]] = {
     ),
 }
 """By name: on how many connections at a time, and what is done on each, again and again."""
-EACH, FEW = "each", 4
+EACH, FEW = "each", 2
 
 
 async def main(name: str, url: str, seconds: float, core: int, tokens: dict[str, str]) -> None:

@@ -21,11 +21,8 @@ from structlog.testing import capture_logs
 
 from app.core.web.access import Role
 from app.line.feed.bus_feed import BusFeed, Credential, WorkerLeft
-from app.line.feed.channel import Channel
-from app.line.feed.ingest import FeedQuota, Ingest
 from app.line.feed.socket import MAX_HELLOS_AT_ONCE, TOO_OFTEN, Workers
 from app.line.live.browser import Browser
-from app.line.live.bus_live import Audience, BusLive
 from app.line.live.change_recorder import ChangeRecorder
 from app.line.live.hub import Hub
 from app.people.audit.log import EventLog, Filter
@@ -33,22 +30,16 @@ from bus.contract import (
     MAX_UPDATES,
     AppMessage,
     Batch,
-    BusLink,
-    Command,
     Frame,
     Frames,
     ParameterValue,
-    Result,
-    SetSpeed,
     Snapshot,
     Update,
     encode,
 )
-from bus.instants import monotonic_now
-from bus.messages import term
 from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import hello, reading, snapshot
-from tests.attacks.hostile import COMMAND_ID, GARBAGE, batches, broken, encoded, of_type
+from tests.attacks.hostile import GARBAGE, batches, broken, encoded, of_type
 
 BUS = "dry-end"
 PAGES = (
@@ -191,80 +182,12 @@ def test_decimals_that_no_value_can_have_are_not_believed(
     runner.run(attack())
 
 
-def test_values_from_outside_the_window_are_refused_and_counted(runner: asyncio.Runner, scene: Scene) -> None:
-    async def attack() -> None:
-        now = time.time()
-        updates: list[Update] = [
-            msgspec.structs.replace(reading(1, 7777), at=at) for at in (now + 3600, now - 9 * 86_400, 0.0)
-        ]
-        unknown = [reading(200, 7777)]
-        recorder = scene.house.services.buses[BUS][ChangeRecorder]
-        await recorder.recorded()  # what the attacks before have left to sum up
-        await scene.attack(encode(snapshot()), encode(Batch(1, now, [*updates, *unknown])))
-        unit = (await scene.admin.get("/api/v1/buses/dry-end/units/1")).json()
-        assert unit["commanded_raw"] != 7777
-        await recorder.recorded()
-        events, _ = await scene.house.services[EventLog].page(Filter(kind="worker"), 10)
-        refused = [event for event in events if event["what"] == "updates of the bus worker refused"]
-        assert refused[0]["new"] == "4"
-
-    runner.run(attack())
-
-
-def test_a_state_without_a_plausible_time_still_holds(runner: asyncio.Runner, scene: Scene) -> None:
-    async def attack() -> None:
-        closed = BusLink(at=time.time() + 1e9, link="closed", cause=term("cut"))
-        live, seen = scene.house.services.buses[BUS][BusLive], []
-        end = live.subscribe(Audience.BROWSERS, seen.extend)
-        await scene.attack(encode(snapshot()), encode(Batch(1, time.time(), [closed])))
-        end()
-        (taken,) = [update for update in seen if isinstance(update, BusLink) and update.cause == term("cut")]
-        assert taken.link == "closed"
-        assert taken.at < time.time() + 60
-
-    runner.run(attack())
-
-
 def test_a_batch_larger_than_any_worker_makes_is_no_message(runner: asyncio.Runner, scene: Scene) -> None:
     async def attack() -> None:
         many = Batch(1, time.time(), [reading(1)] * (MAX_UPDATES + 1))
         socket = await scene.attack(encode(snapshot()), encode(many))
         assert socket.reason is not None
         assert f"length <= {MAX_UPDATES}" in socket.reason
-
-    runner.run(attack())
-
-
-def test_only_the_parts_of_a_result_that_belong_to_its_command_count(
-    runner: asyncio.Runner, scene: Scene
-) -> None:
-    async def attack() -> None:
-        channel = scene.house.services.buses[BUS][Channel]
-        frame = Frame(time.time(), "in", b"\x10\x02", [])
-        values = [ParameterValue(1, 20, time.time(), 4711)]
-
-        class Responding(HostileSocket):
-            async def send(self, message: AppMessage) -> None:
-                if isinstance(message, Command):
-                    forged = Result(message.id, 0.0, "verified", values=values, frames=[frame] * 2_000)
-                    self._messages.append(encode(Batch(1, time.time(), [forged])))
-                    received.set()
-
-            async def receive(self) -> bytes:
-                if not self._messages:
-                    opened.set()
-                    await received.wait()
-                return await super().receive()
-
-        received, opened = asyncio.Event(), asyncio.Event()
-        socket = Responding([encode(hello(uuid4().hex)), encode(snapshot())])
-        serving = asyncio.create_task(scene.serve(socket))
-        async with asyncio.timeout(60):
-            await opened.wait()
-            result = await channel.send(Command(COMMAND_ID, time.time() + 5, SetSpeed(1, 5)))
-            await serving
-        assert (result.outcome, result.values, len(result.frames)) == ("verified", [], 300)
-        assert abs(result.at - time.time()) < 60
 
     runner.run(attack())
 
@@ -303,29 +226,6 @@ def test_a_token_sends_hello_only_so_often(runner: asyncio.Runner, scene: Scene)
         assert other.reason not in (None, TOO_OFTEN)
 
     runner.run(attack())
-
-
-def test_messages_over_the_rate_are_not_read_yet(
-    runner: asyncio.Runner, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pauses: list[float] = []
-
-    async def hold_back(_: Ingest, seconds: float) -> None:
-        pauses.append(seconds)
-
-    async def attack() -> None:
-        readings: list[Update] = [reading(1)] * MAX_UPDATES
-        batches = [encode(Batch(seq, time.time(), readings)) for seq in range(1, 41)]
-        await scene.attack(encode(snapshot()), *batches)
-
-    monkeypatch.setattr(Ingest, "_hold_back", hold_back)
-    # However long a busy machine takes for it.
-    now = monotonic_now()
-    monkeypatch.setattr("app.line.feed.ingest.monotonic_now", lambda: now)
-    monkeypatch.setattr(scene.house.services.buses[BUS][BusFeed], "_quota", FeedQuota())
-    runner.run(attack())
-    # 20,000 updates, of which a quarter of an hour's backlog may come at once.
-    assert sum(pause > 0 for pause in pauses) > 10
 
 
 def test_memory_does_not_grow_with_what_a_worker_sends(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from app.core.web.access import Role
 from app.people.auth.accounts import Accounts
 from app.people.auth.sign_in import FREE, OF_NAME, FirstAdmin, new_code
 from tests.app.complete_app import PASSWORD, House, complete_app
+from tests.for_each import for_each
 
 
 @pytest.fixture
@@ -72,7 +73,7 @@ async def test_guessing_from_many_networks_is_bounded_too(house: House) -> None:
     assert statuses.count(401) <= OF_NAME
 
 
-@pytest.mark.parametrize("code", ["", " ", "-", "\u212a" * 12, "\x00", "A" * 5000])
+@for_each("code", ["", "\u212a" * 12, "A" * 5000])
 async def test_a_malformed_code_is_a_wrong_one(house: House, code: str) -> None:
     assert await create(house.client(), code) == 401
     assert await users(house) == []

@@ -39,6 +39,8 @@ HOSTILE = {
     "ten thousand combining characters": "e" + "\u0301" * 10_000,
     "half a pair": "HALF",
 }
+SOME = ("line", "override", "half a pair")
+"""Of each kind one: all are tried in one field, these in the others."""
 READABLE = [
     "Nip\u202fÜ 2",
     "\u05d0\u200c\u05d1",
@@ -75,7 +77,8 @@ async def test_a_text_that_hides_or_forges_is_refused(house: House, line: Played
     del line
     client = await house.signed_in(Role.ADMIN)
     before = len((await client.get("/api/v1/events?limit=1000")).json()["events"])
-    for name, text in HOSTILE.items():
+    for name in HOSTILE if field == "block" else SOME:
+        text = HOSTILE[name]
         if text == LINE and field in HAS_LINES:
             continue
         response = await write(client, field, text)

@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from pathlib import Path
-
 import httpx
-import pytest
 
 from app.core.web.access import Role
-from tests.app.complete_app import House, complete_app
+from tests.app.complete_app import House
+from tests.for_each import for_each
 
 LIMITS = "/api/v1/buses/dry-end/units/1/limits"
 
 
-@pytest.fixture
-async def engineer(tmp_path: Path) -> AsyncIterator[httpx.AsyncClient]:
-    async with complete_app(tmp_path) as house:
-        yield await _engineer(house)
-
-
-async def _engineer(house: House) -> httpx.AsyncClient:
-    return await house.program(Role.ENGINEER)
-
-
-@pytest.mark.parametrize(
+@for_each(
     ("name", "values"),
     [
         ("Host", ("a", "b")),
@@ -34,9 +21,8 @@ async def _engineer(house: House) -> httpx.AsyncClient:
         ("Idempotency-Key", ("one", "two")),
     ],
 )
-async def test_a_header_that_stands_twice(
-    engineer: httpx.AsyncClient, name: str, values: tuple[str, str]
-) -> None:
+async def test_a_header_that_stands_twice(house: House, name: str, values: tuple[str, str]) -> None:
+    engineer = await house.program(Role.ENGINEER)
     request = engineer.build_request("PUT", LIMITS, json={})
     kept = [(key, value) for key, value in request.headers.multi_items() if key != name.lower()]
     request.headers = httpx.Headers([*kept, *((name, value) for value in values)])
@@ -46,13 +32,14 @@ async def test_a_header_that_stands_twice(
     assert name in response.json()["detail"]
 
 
-async def test_http_1_1_without_a_host(engineer: httpx.AsyncClient) -> None:
+async def test_http_1_1_without_a_host(house: House) -> None:
+    engineer = await house.program(Role.ENGINEER)
     request = engineer.build_request("GET", "/healthz")
     del request.headers["host"]
     assert (await engineer.send(request)).status_code == 400
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("name", "value", "status"),
     [
         ("Content-Encoding", "gzip", 415),
@@ -62,8 +49,9 @@ async def test_http_1_1_without_a_host(engineer: httpx.AsyncClient) -> None:
     ],
 )
 async def test_a_body_in_a_coding_that_is_not_decoded(
-    engineer: httpx.AsyncClient, name: str, value: str, status: int
+    house: House, name: str, value: str, status: int
 ) -> None:
+    engineer = await house.program(Role.ENGINEER)
     response = await engineer.put(LIMITS, json={}, headers={name: value})
     assert response.status_code == status
     if status != 200:

@@ -12,13 +12,11 @@ from msgspec.structs import replace
 
 from app.line.feed.bus_feed import BusFeed, Credential
 from app.line.feed.ingest import MAX_VALUES_AT_ONCE
-from app.line.feed.plausibility import FIRST_S
 from app.line.feed.socket import Workers
 from app.line.history import tables
 from app.line.history.recorder import Tail
 from app.line.history.series.runs import HOUR, Run, merge, micros
 from app.line.history.service import History
-from app.line.live.bus_live import LiveState
 from app.line.live.change_recorder import ChangeRecorder
 from bus.contract import MAX_UPDATES, Batch, Reading, Snapshot, UnitState, encode
 from tests.app.complete_app import House, complete_app
@@ -96,40 +94,6 @@ async def test_the_time_that_the_app_was_away_is_delivered_once(tmp_path: Path) 
         assert await stored(house, begin - 1, begin + 100) == [5000] * 10 + [6000] * 10
 
 
-async def test_of_one_connection_each_time_counts_once(tmp_path: Path) -> None:
-    begin = time.time() - 3600
-    async with followed(tmp_path, begin) as house:
-        honest, forged = of(begin + 60, 6000), of(begin + 60.5, 1, 9)
-        batches = [Batch(seq, time.time(), part, live=False) for seq, part in ((1, honest), (2, forged))]
-        await connect(house, *batches)
-        assert await stored(house, begin + 50, begin + 100) == [6000] * 10
-
-
-async def test_the_time_of_a_connection_is_not_delivered_later(tmp_path: Path) -> None:
-    async with complete_app(tmp_path) as house:
-        feed, begin = house.services.buses[BUS][BusFeed], time.time()
-        feed.coverage.until = begin - 3600
-        await connect(house, Batch(1, time.time(), [reading(1, 5000)]))
-        await connect(house, Batch(1, time.time(), of(begin - 3000, 1), live=False), worker="forger")
-        assert await stored(house, begin - 3600, begin - 10) == []
-
-
-async def test_a_live_mark_does_not_put_a_reading_beside_another(tmp_path: Path) -> None:
-    begin = time.time() - 30
-    async with followed(tmp_path, begin) as house:
-        await connect(house, Batch(1, time.time(), of(begin + 0.5, 1, 8)), worker="forger")
-        assert await stored(house, begin - 1, begin + 9.5) == [5000] * 10
-        assert [event["new"] for event in await refusals(house)] == ["8"]
-
-
-async def test_a_first_worker_cannot_invent_a_week(tmp_path: Path) -> None:
-    async with complete_app(tmp_path) as house:
-        now = time.time()
-        week = [replace(reading(1, 1), at=now - age) for age in (6 * DAY_S, 3600.0, FIRST_S + 60)]
-        await connect(house, Batch(1, now, [*week, *of(now - 600, 5000)], live=False))
-        assert await stored(house, now - 7 * DAY_S, now) == [5000] * 10
-
-
 async def test_a_forged_parameter_scales_nothing_that_is_stored(tmp_path: Path) -> None:
     """Decimals (#3) from three months ago would show all of it a hundredth as large."""
     begin = time.time() - 3600
@@ -143,20 +107,6 @@ async def test_a_forged_parameter_scales_nothing_that_is_stored(tmp_path: Path) 
             lambda store, _: store.execute("SELECT at FROM parameter WHERE raw = 4").fetchall()
         )
         assert all(at > micros(begin) for (at,) in steps)
-
-
-async def test_more_live_readings_than_a_wire_carries_are_shown_and_not_stored(tmp_path: Path) -> None:
-    async with complete_app(tmp_path) as house:
-        now, feed = time.time(), house.services.buses[BUS][BusFeed]
-        feed._quota._values.capacity = 10
-        await connect(
-            house, Batch(1, now, [replace(reading(1, n), at=now - 0.3 + n / 100) for n in range(20)])
-        )
-        shown = house.services[LiveState].buses[BUS].units[1].reading
-        assert shown is not None
-        assert shown.actual == 19
-        assert len(await stored(house, now - 1, now + 1)) in range(10, 15)
-        assert "bus can carry" in (await refusals(house))[0]["message"]
 
 
 async def test_more_than_a_wire_carries_is_refused_and_summed_up(tmp_path: Path) -> None:

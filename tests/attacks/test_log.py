@@ -16,7 +16,7 @@ from tests.attacks.measure import add_worker_token
 from tests.e2e.site import Site, eventually, site
 from tests.sizes import sizes
 
-REQUESTS = 60
+REQUESTS = 20
 FEW = 3
 READ_S = 10.0
 

@@ -8,7 +8,7 @@ import os
 import pty
 import socket
 import struct
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,6 @@ import pytest
 from bus.errors import WireError
 from bus.line.opener import open_port
 from bus.line.port import EndedWhileOpening, OpenPort, PortUnavailable
-from bus.simulator.line import SimulatedLine
-from bus.simulator.plant import demo_line
-from bus.simulator.ports import PtyPort
-from bus.simulator.serve import LineServer
-from tests.bus.rfc2217_server import DeviceServer
 from tests.bus.test_open_port import POLL, Receiver, on_both_loops
 
 PATIENCE_S = 60.0
@@ -192,13 +187,6 @@ async def test_a_host_that_does_not_exist_is_a_port_that_cannot_be_opened(scheme
             await open_port(f"{scheme}://{host}:4001", 9600, Receiver())
 
 
-@pytest.fixture(scope="module")
-def device_server() -> Iterator[DeviceServer]:
-    line = SimulatedLine(demo_line(2, script=False).plant, speedup=20)
-    with LineServer(line, PtyPort(follow_speed=False)) as simulated, DeviceServer(simulated.port.name) as box:
-        yield box
-
-
 def accepted(command: int, *value: int) -> bytes:
     """IAC SB COM-PORT-OPTION command value IAC SE."""
     return bytes((0xFF, 0xFA, 0x2C, command, *value, 0xFF, 0xF0))
@@ -236,22 +224,3 @@ async def test_a_device_server_that_dies_at_any_byte_of_its_negotiation() -> Non
                     opened.append(count)
                     port.close()
         assert set(opened) <= {len(NEGOTIATION)}
-
-
-@pytest.mark.parametrize("nonsense", [MODEM_STATE_WITHOUT_STATE, NO_SUCH_PARITY], ids=["no value", "no such"])
-@on_both_loops
-async def test_a_device_server_that_talks_nonsense_later_is_lost(
-    device_server: DeviceServer, nonsense: bytes
-) -> None:
-    async with nothing_printed():
-        receiver = Receiver()
-        port = await open_port(device_server.url, 9600, receiver)
-        port.write(POLL)
-        await receiver.until(18)
-        device_server.write(nonsense)
-        await receiver.until(lost=True)
-        assert len(receiver.lost) == 1
-        with pytest.raises(WireError):
-            port.check()
-        port.close()
-        await asyncio.sleep(0.01)

@@ -25,7 +25,7 @@ from tests.attacks.measure import (
 from tests.e2e.site import Site, site
 from tests.sizes import sizes
 
-BRIEF_S = 0.1
+BRIEF_S = 0.02
 SHORT_S = 1.0
 LONG_S = 8.0
 TRIES = 3

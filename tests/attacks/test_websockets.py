@@ -17,24 +17,14 @@ from app.core.server import gate
 from app.core.server.connections import client_connection
 from app.core.server.gate import CLOSING_S, MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
 from tests.app.gated import PATIENCE_S, Port, everything, gated, until
+from tests.attacks import attackers
+from tests.attacks.attackers import frame
 
 FEED_PATH = "/feed"
-HANDSHAKE = (
-    "GET {path} HTTP/1.1\r\nHost: here\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
-    "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
-)
+HANDSHAKE = f"GET {{path}} HTTP/1.1\r\nHost: here\r\n{attackers.HANDSHAKE}\r\n"
 FIN, CONT, TEXT, CLOSE, PING, PONG = 0x80, 0x0, 0x1, 0x8, 0x9, 0xA
 CPU_S = 0.5
 """Of this thread; one chunk of empty frames alone took half a second."""
-
-
-def frame(opcode: int, payload: bytes = b"", size: int | None = None) -> bytes:
-    """Return a frame as a client sends it (RFC 6455, 5.2), masked with zeros; ``size``: the length that it
-    claims.
-    """
-    size = len(payload) if size is None else size
-    length = bytes([0x80 | size]) if size < 126 else struct.pack("!BQ", 0x80 | 127, size)
-    return bytes([opcode]) + length + b"\0\0\0\0" + payload
 
 
 @dataclass

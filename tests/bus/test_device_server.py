@@ -10,7 +10,7 @@ from itertools import groupby
 
 import pytest
 
-from bus.contract import BusLink, Reading, SetSpeed
+from bus.contract import BusLink, SetSpeed
 from bus.errors import WireError
 from bus.line import opener
 from bus.line.device_server import TCP_LOST_AFTER_MS
@@ -113,15 +113,6 @@ async def test_a_device_server_before_silent_units_is_back_once_it_stays(
                 connection.close()
 
 
-async def test_a_lost_device_server_is_reported_with_its_cause(line: LineServer) -> None:
-    async with working(line) as app:
-        line.unplug()
-        await app.until(lambda: any("refuses the connection" in cause for cause in causes(app)))
-        line.plug()
-        seen = len(app.readings(2))
-        await app.until(lambda: len(app.readings(2)) > seen + 5)
-
-
 async def test_one_that_lost_its_power_is_noticed_by_what_it_does_not_confirm(line: LineServer) -> None:
     """A dead box cannot be had here; what makes the kernel notice one is looked at instead."""
     port = await open_port(line.port.name, 9600, Receiver())
@@ -159,22 +150,6 @@ async def test_the_text_of_a_device_server_at_its_end_is_a_cause_and_no_frame(
         await open_port(f"socket://127.0.0.1:{number}", 9600, receiver)
         await asyncio.wait_for(lost.wait(), 30)
     assert cause in causes[0]
-
-
-async def test_a_text_before_frames_is_passed_on_with_them() -> None:
-    """A banner; the decoder counts it as noise."""
-    received, complete, receiver = bytearray(), asyncio.Event(), Receiver()
-
-    def receive(data: bytes) -> None:
-        received.extend(data)
-        complete.set()
-
-    receiver.data_received = receive  # type: ignore[method-assign]
-    async with sending(b"welcome\r\n", b"\x10\x02\x01") as number:
-        port = await open_port(f"socket://127.0.0.1:{number}", 9600, receiver)
-        await asyncio.wait_for(complete.wait(), 30)
-        port.close()
-    assert bytes(received) == b"welcome\r\n\x10\x02\x01"
 
 
 @asynccontextmanager
@@ -264,21 +239,3 @@ async def test_a_port_that_another_client_has_is_named(options: bytes) -> None:
         with pytest.raises(PortUnavailable) as raised:
             await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Receiver())
     assert IN_USE in str(raised.value)
-
-
-async def test_a_worker_reads_and_writes_through_it(server: DeviceServer) -> None:
-    units = (UnitSettings(id=1, name="A"), UnitSettings(id=2, name="B"))
-    bus = BusSettings(name="b", port=server.url, unit=units)
-    leave = asyncio.Event()
-    async with FakeApp() as app:
-        working = asyncio.create_task(run_worker(bus, [app.url], TOKEN, leave=leave))
-        await app.until(lambda: app.readings(1) and app.readings(2))
-        result = await app.perform(SetSpeed(2, 255))
-        assert (result.outcome, result.read_back) == ("verified", 255)
-        server.hang_up()
-        seen = len([update for update in app.updates() if isinstance(update, Reading)])
-        await app.until(
-            lambda: len([update for update in app.updates() if isinstance(update, Reading)]) > seen + 20
-        )
-        leave.set()
-        await working

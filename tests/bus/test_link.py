@@ -167,14 +167,6 @@ async def test_a_duplicate_comes_too_early_to_be_the_next_response(wires: Wires)
     assert wires.roster[1].statistics.counts.late == 1
 
 
-async def test_a_port_faster_than_its_baud_rate_is_learned_from_its_first_response(wires: Wires) -> None:
-    for _ in range(5):
-        wires.send(ReadStatusRequest(1))
-        wires.pass_time(0.0005)
-        wires.link.data_received(encode_reply(STATUS, PLAIN))
-    assert len(wires.results) == 5
-
-
 @given(st.lists(st.booleans(), max_size=300))
 def test_pace_is_never_stuck(history: list[bool]) -> None:
     """After any history, early responses alone, or responses on time alone, are soon believed."""

@@ -76,10 +76,6 @@ def test_params_beyond_the_bounds_are_refused(hostile: dict[str, object]) -> Non
         _DECODE(msgspec.msgpack.encode(hostile))
 
 
-def test_the_deepest_is_taken() -> None:
-    assert _DECODE(msgspec.msgpack.encode(nested(DEEPEST)))
-
-
 def test_the_results_of_every_unit_fit_into_one_message() -> None:
     one = Message.of("unit_refused", unit=255, error=Message.of("illegal_speed", code=130, name="x" * 20))
     several = joined([one] * 255)

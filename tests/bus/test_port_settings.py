@@ -107,7 +107,7 @@ async def reported(app: FakeApp) -> list[str]:
     return events(app)
 
 
-@pytest.mark.parametrize("words", [*sizes(*FOREIGN[:1], *OTHERS), *FOREIGN[1:]])
+@pytest.mark.parametrize("words", [*sizes(*FOREIGN[:1], *OTHERS, *FOREIGN[2:5]), FOREIGN[1], FOREIGN[5]])
 async def test_units_come_back_and_it_is_reported_once(line: LineServer, words: str) -> None:
     async with working(line) as app:
         await stty(line, words)

@@ -127,16 +127,6 @@ def test_two_units_at_one_address_are_recognised_every_time() -> None:
     assert run(scene, 3, configured=3) == ["garbled"] * 8
 
 
-def test_a_scan_without_a_port_reports_it() -> None:
-    async def scene(line: VirtualLine) -> Result:
-        await asyncio.sleep(2.0)
-        line.unplug()
-        await asyncio.sleep(2.0)
-        return await line.perform(ScanBus(1, 8))
-
-    assert run(scene, PRESENT, configured=CONFIGURED).outcome == "bus_closed"
-
-
 def test_a_port_lost_meanwhile_ends_it() -> None:
     async def scene(line: VirtualLine) -> Result:
         await asyncio.sleep(2.0)

@@ -125,14 +125,6 @@ async def test_figures_come_every_second_with_the_load_of_the_wire(line: Virtual
     assert all(unit.responses > 50 and unit.response_s_median is not None for unit in last.units)
 
 
-@played(4)
-async def test_figures_name_the_one_unit_that_does_not_respond(line: VirtualLine) -> None:
-    await settled(line)
-    line.faults.set(FaultKind.DEAD, 1.0, 2)
-    await asyncio.sleep(5.0)
-    assert line.worker.line.figures().diagnosis == [Message.of("diagnosis_one_silent", unit=2)]
-
-
 @played(2)
 async def test_frames_are_reported_only_while_followed(line: VirtualLine) -> None:
     await settled(line)

@@ -6,7 +6,7 @@ import pytest
 
 from bus.catalogue import parameters as numbers
 from bus.settings import BusSettings
-from bus.simulator.plant import STEP_S, DemoLine, Habit, Plant, Script, Section, demo_line
+from bus.simulator.plant import STEP_S, DemoLine, Plant, Section, demo_line
 from bus.simulator.unit import Memory, Unit, respond
 from bus.wire.commands import encode_reply
 
@@ -63,12 +63,6 @@ def test_any_number_of_units_makes_a_bus_that_the_settings_take(count: int) -> N
     assert any(unit.follows for unit in line.plant.units) == (count >= 16)
 
 
-def test_a_long_line_is_at_speed_from_the_first_moment_followers_and_all() -> None:
-    line = demo_line(32, script=False)
-    line.plant.step()
-    assert all(unit.at_speed for unit in line.plant.units)
-
-
 @pytest.mark.parametrize("unrest", [True, False])
 def test_a_line_without_unrest_measures_the_same_as_long_as_nothing_is_changed(unrest: bool) -> None:
     line = demo_line(4, script=False, unrest=unrest)
@@ -97,27 +91,6 @@ def test_the_demo_line_is_mostly_well_and_not_always() -> None:
     assert 0.02 < stopped / steps < 0.2
 
 
-def test_a_pressed_contact_is_released() -> None:
-    unit = Unit()
-    script = Script([unit], [Habit("estop", True, every_s=10, hold_s=2)])
-    pressed = []
-    for _ in range(2000):
-        script.step(0.1)
-        pressed.append(unit.inputs.estop)
-    assert sum(pressed) == pytest.approx(20 * 20, abs=60)
-    assert not all(pressed)
-
-
-def test_a_contact_that_is_off_by_habit_comes_back_on() -> None:
-    unit = Unit()
-    script = Script([unit], [Habit("run", False, every_s=10, hold_s=2)])
-    states = []
-    for _ in range(300):
-        script.step(0.1)
-        states.append(unit.inputs.run)
-    assert set(states) == {True, False}
-
-
 def test_followers_follow_the_first_unit_that_is_a_master() -> None:
     master, follower = Unit(), Unit()
     follower.memory[numbers.OWN_ADDRESS], follower.memory[numbers.FOLLOWER_MODE] = 2, 1
@@ -126,13 +99,6 @@ def test_followers_follow_the_first_unit_that_is_a_master() -> None:
     for _ in range(600):
         plant.step()
     assert follower.measured.actual == pytest.approx(500, abs=5)
-
-
-def test_an_address_without_a_unit_is_an_error() -> None:
-    plant = demo_line(2).plant
-    assert plant.unit(2) is plant.units[1]
-    with pytest.raises(KeyError):
-        plant.unit(3)
 
 
 DT = 0.05
@@ -218,12 +184,6 @@ def test_an_inverse_follower_divides_by_its_ratio() -> None:
     )
 
 
-def test_a_follower_rests_while_its_master_does() -> None:
-    machine = section(FOLLOWER_MODE=1)
-    assert turn(machine, 5, master_rpm=0) == 0
-    assert machine.unit.measured.ratio == 0
-
-
 def test_reverse_turns_the_motor_the_other_way_and_shows_the_same_speed() -> None:
     machine = section(SPEED_SETPOINT=1000)
     machine.unit.inputs.reverse = True
@@ -242,15 +202,6 @@ def test_the_web_tightens_where_a_section_runs_ahead_of_the_one_before() -> None
     analogs = [machine.unit.measured.analog for machine in (behind, before, ahead)]
     assert analogs == sorted(analogs)
     assert analogs[2] - analogs[0] > 20
-
-
-def test_the_same_seed_gives_the_same_speeds_and_another_seed_others() -> None:
-    def course(seed: int) -> list[int]:
-        machine = section(seed, SPEED_SETPOINT=1000)
-        return [turn(machine, DT) for _ in range(400)]
-
-    assert course(1) == course(1)
-    assert course(1) != course(2)
 
 
 def test_everything_shown_fits_its_bytes() -> None:

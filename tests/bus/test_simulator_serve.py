@@ -129,11 +129,6 @@ def test_a_host_at_the_wrong_rate_receives_nothing() -> None:
         assert exchange(host, ReadStatusRequest(1))
 
 
-def test_the_hosts_speed_can_be_left_out_of_it() -> None:
-    with served(PtyPort(follow_speed=False)) as line, opened(line.port.name, 4800) as host:
-        assert exchange(host, ReadStatusRequest(1))
-
-
 def test_a_host_that_sets_no_rate_is_received() -> None:
     with served(PtyPort()) as line:
         host = os.open(line.port.name, os.O_RDWR | os.O_NOCTTY)
@@ -150,14 +145,6 @@ def test_a_tcp_port_serves_one_host_at_a_time() -> None:
             use_until_it_fails(second)
         hang_up(second)
         assert exchange(first, ReadStatusRequest(1))
-
-
-def test_an_error_in_a_call_comes_back_to_the_caller_and_the_line_lives() -> None:
-    with served(PtyPort()) as line:
-        with pytest.raises(KeyError):
-            line.call(lambda line: line.plant.unit(99))
-        with opened(line.port.name) as host:
-            assert exchange(host, ReadStatusRequest(1))
 
 
 def test_remote_control() -> None:

@@ -28,7 +28,6 @@ from bus.wire.commands import (
     WriteParameterRequest,
     encode_reply,
     encode_request,
-    is_write,
     parse_reply,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
@@ -112,16 +111,6 @@ def test_no_sequence_of_writes_leads_out_of_the_rules(requests: list[Request]) -
         assert unit.address == 1
         for number, parameter in PARAMETERS.items():
             assert parameter.minimum <= unit.memory[number] <= parameter.maximum, number
-
-
-@given(request=writes)
-def test_sending_a_write_twice_is_as_good_as_once(request: Request) -> None:
-    """Every write is absolute (manual: "output will not change state if it is in the state commanded")."""
-    once, twice = Unit(), Unit()
-    respond(once, body_of(request))
-    respond(twice, body_of(request))
-    respond(twice, body_of(request))
-    assert state(once) == state(twice)
 
 
 def test_a_staged_speed_shows_only_once_executed() -> None:
@@ -222,11 +211,6 @@ def test_a_parameter_is_returned_in_the_width_of_its_type(number: int, response_
     assert reply == ParameterReply(1, Unit().memory[number], response_bytes)
 
 
-def test_or_always_in_four_bytes() -> None:
-    unit = Unit(traits=Traits(Dialect(parameter_reply_bytes=4)))
-    assert exchange(unit, ReadParameterRequest(1, 3)) == ParameterReply(1, 1, 4)
-
-
 def test_an_old_firmware_ends_at_twenty() -> None:
     unit = Unit(traits=Traits(last_parameter=20))
     assert exchange(unit, ReadParameterRequest(1, 20)) == ParameterReply(1, 0, 4)
@@ -290,13 +274,6 @@ def test_an_unknown_command_is_refused(body: str, refusal: Code) -> None:
     assert respond(Unit(), bytes.fromhex(body)).reply == Nak(1, refusal)
 
 
-def test_a_local_unit_names_the_mode_before_the_value() -> None:
-    unit = Unit()
-    unit.memory[numbers.CONTROL_MODE] = Mode.LOCAL
-    assert respond(unit, bytes.fromhex("01 87 01 02")).reply == Nak(1, Code.NOT_REMOTE)
-    assert respond(unit, bytes.fromhex("01 80")).reply == Nak(1, Code.ILLEGAL_COMMAND)
-
-
 @pytest.mark.parametrize("healthy", [0, 1])
 @given(
     inputs=st.builds(Inputs, *[st.booleans()] * 6), outputs=st.lists(st.booleans(), min_size=6, max_size=6)
@@ -320,12 +297,6 @@ def test_the_status_bits_are_where_the_manual_puts_them(
     assert reply.outputs & 0x40
 
 
-def test_the_remote_bit_is_off_in_keylock() -> None:
-    unit = Unit()
-    unit.memory[numbers.CONTROL_MODE] = Mode.KEYLOCK
-    assert not status(unit).outputs & 0x40
-
-
 @pytest.mark.parametrize(
     ("contacts", "commanded"),
     [
@@ -341,29 +312,3 @@ def test_contacts_at_the_terminals_change_the_commanded_speed(contacts: Inputs, 
     exchange(unit, SetAndExecuteSpeedRequest(1, 500))
     assert status(unit).commanded == commanded
     assert unit.setpoint == 500
-
-
-@given(st.floats(0.001, 1), st.floats(0, 0.9), st.integers(0, 2**32))
-def test_turnaround_stays_within_its_jitter_and_comes_from_the_seed(
-    base: float, jitter: float, seed: int
-) -> None:
-    drawn = []
-    for _ in range(2):
-        unit = Unit(traits=Traits(turnaround_s=base, turnaround_jitter=jitter))
-        unit.random.seed(seed)
-        drawn.append([unit.turnaround() for _ in range(5)])
-    assert drawn[0] == drawn[1]
-    assert all(base * (1 - jitter) <= value <= base * (1 + jitter) for value in drawn[0])
-
-
-def test_every_write_has_a_rule() -> None:
-    """A unit in its delivered state takes one of each."""
-    taken = [
-        StageSpeedRequest(1, 1),
-        ExecuteSpeedRequest(1),
-        SetAndExecuteSpeedRequest(1, 1),
-        WriteParameterRequest(1, 6, 1),
-        WriteOutputRequest(1, 1, True),
-        WriteAnalogOutputRequest(1, 1),
-    ]
-    assert all(is_write(request) and exchange(Unit(), request) == Ack(1) for request in taken)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import random
 import ssl
 import subprocess
 from collections.abc import Callable
@@ -82,15 +81,6 @@ def test_a_key_with_a_passphrase_is_refused_at_once(folder: Path) -> None:
     with pytest.raises(TlsFileError) as refused:
         load_pair(context(), folder / "server.pem", key)
     assert refused.value.message.code == "tls_key_encrypted"
-
-
-def test_an_authority(folder: Path) -> None:
-    trusting = context()
-    load_authority(trusting, folder / "ca.pem")
-    assert len(trusting.get_ca_certs()) == 1
-    halve(folder / "ca.pem")
-    with pytest.raises(TlsFileError):
-        load_authority(context(), folder / "ca.pem")
 
 
 def test_a_certificate_of_well_formed_dates_that_is_none(folder: Path) -> None:
@@ -197,16 +187,3 @@ def test_any_part_of_a_file_is_a_certificate_or_refused(tmp_path: Path) -> None:
     for size in range(len(text) - 1):
         with pytest.raises(MalformedCertificateError):
             certificates_in(text[:size])
-
-
-def test_damaged_bytes_raise_nothing_else(tmp_path: Path) -> None:
-    (sound,) = certificates_in((certificates(tmp_path) / "server.pem").read_text())
-    chance = random.Random(1)
-    for _ in range(3000):
-        damaged = bytearray(sound.der)
-        for _ in range(chance.randint(1, 4)):
-            damaged[chance.randrange(60 if chance.random() < 0.5 else len(damaged))] = chance.randrange(256)
-        try:
-            certificates_in(pem(bytes(damaged)))
-        except MalformedCertificateError:
-            continue

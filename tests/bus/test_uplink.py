@@ -164,14 +164,6 @@ async def test_a_wrong_token_is_named() -> None:
     assert logs[0]["why"].startswith(feed_url(app.url))
 
 
-async def test_a_refused_token_is_tried_again_seldom_and_logged_once() -> None:
-    with capture_logs() as logs:
-        async with FakeApp() as app:
-            uplink = Uplink([app.url], "wrong", Outbox(), FakeReceiver(), ClockOffset(), time.time)
-            assert [await uplink._attempt() for _ in range(5)] == [True] * 5
-    assert len(logs) == 1
-
-
 @pytest.mark.parametrize(
     ("body", "logged"),
     [

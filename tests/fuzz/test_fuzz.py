@@ -24,7 +24,7 @@ def test_the_wire_under_the_fuzzer(tmp_path: Path) -> None:
             sys.executable,
             str(HERE / "fuzz_wire.py"),
             "-seed=1",
-            "-runs=4000",
+            "-runs=1500",
             "-max_len=120",
             "-max_total_time=20",
             f"-artifact_prefix={tmp_path}/",

@@ -121,6 +121,24 @@ def test_set_speed_by_value_in_the_units_decimals(plant: Dashboard, units: dict[
     assert units[SIXTEEN].commanded == 12345
 
 
+def test_ten_times_what_was_typed_is_refused_and_nothing_is_sent(
+    plant: Dashboard, units: dict[int, Unit]
+) -> None:
+    """Its scale was changed at the keypad."""
+    units[ODD].values |= {2: 2000, 3: 0}
+    result = problem(plant.bus("POST", "/units/6/speed", {"value": "100.0"}), 409, "refused")
+    assert result["unit_error"] is None
+    assert "(parameter 3) was 1 and is 0 now" in result["detail"]
+    assert "(parameter 2) was 20000 and is 2000 now" in result["detail"]
+    assert units[ODD].writes == []
+    # The scale that the refusal has read is that of the next value.
+    assert plant.bus("POST", "/units/6/speed", {"value": "100.0"}).status_code == 422
+    result_of(plant.bus("POST", "/units/6/speed", {"value": "100"}), "verified")
+    assert units[ODD].commanded == 100
+    units[ODD].values |= {2: 20000, 3: 1}
+    assert plant.bus("GET", "/units/6/parameters?refresh=true").status_code == 200
+
+
 def test_stage_and_execute(plant: Dashboard, units: dict[int, Unit]) -> None:
     before = units[MASTER].commanded
     result_of(plant.bus("POST", "/units/1/speed", {"raw": 777, "execute": False}, "operator"), "acknowledged")

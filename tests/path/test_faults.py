@@ -14,7 +14,7 @@ from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import ACK, NAK, Cable, Unit, frame
 
 UNITS = (1, 2, 3)
-WRITES = 12
+WRITES = 8
 """To each unit, of those that are sent at all: on a slow machine a unit that misses responses is offline for
 a while."""
 MAX_TRIES = 20 * WRITES

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,14 +17,6 @@ from tests.e2e.site import end, eventually
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
 
-LOCK = """
-import fcntl, os, sys
-port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
-fcntl.flock(port, fcntl.LOCK_EX)
-print("held", flush=True)
-sys.stdin.read()
-"""
-"""As programs do that check first; waits until the lock is free."""
 CLAIM = """
 import fcntl, os, sys, termios
 port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
@@ -95,17 +86,6 @@ def refused_meanwhile(plant: Dashboard) -> None:
     assert (response.status_code, response.json()["code"]) == (503, "bus_closed")
 
 
-def test_a_port_that_is_locked_when_the_worker_starts(plant: Dashboard) -> None:
-    (worker,) = plant.workers()
-    with another_program(plant, LOCK) as other:
-        os.kill(worker, signal.SIGKILL)
-        assert other.stdout is not None
-        assert other.stdout.readline() == "held\n"
-        closed(plant, f"is in use by {_name(other.pid)} (process {other.pid})")
-        refused_meanwhile(plant)
-    nothing_is_sent_and_it_comes_back(plant)
-
-
 def test_a_port_that_is_claimed_while_it_is_open_and_when_the_worker_starts(plant: Dashboard) -> None:
     with another_program(plant, CLAIM) as other:
         closed(plant, f"(process {other.pid})")
@@ -135,7 +115,3 @@ def _take_a_number(until: ExitStack) -> str:
     for end_of_it in (ends := os.openpty()):
         until.callback(os.close, end_of_it)
     return os.ttyname(ends[1])
-
-
-def _name(pid: int) -> str:
-    return Path(f"/proc/{pid}/comm").read_text().strip()

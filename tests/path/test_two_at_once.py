@@ -13,7 +13,7 @@ from tests.path.independent_unit import Cable, Unit
 
 STAGE, EXECUTE = 0x82, 0x83
 UNITS = (1, 2, 3)
-PASSES = 4
+PASSES = 2
 
 
 class Listening(Cable):
