@@ -17,7 +17,7 @@ from app.core.web.request_rules import (
     MAX_PLAIN_BODY_BYTES,
     MAX_QUERY,
 )
-from app.engineering.sets.store import MAX_KEY_STEPS, MAX_LINES, MAX_VALUES, DocumentError, read_document
+from app.engineering.sets.store import MAX_LINES, MAX_VALUES, DocumentError, read_document
 from tests.app.complete_app import House
 from tests.for_each import for_each
 
@@ -45,14 +45,7 @@ async def test_keys_by_the_thousand_cost_no_more_than_their_length(house: House,
     assert await cpu_s(engineer, 422, path, f"{{{keys}}}".encode(), **JSON) < CPU_S
 
 
-async def test_the_last_of_many_keys_is_found_to_be_there_twice(house: House) -> None:
-    engineer = await house.program(Role.ENGINEER)
-    keys = ",".join(f'"{n}":0' for n in range(900))
-    response = await engineer.post(SPEED, content=f'{{{keys},"899":0}}'.encode(), headers=JSON)
-    assert (response.status_code, "'899': it is given twice" in response.json()["detail"]) == (422, True)
-
-
-@for_each("part", ["[", '{"a":', "[{}", '{"a":[', "1,", '"\\ud800",'])
+@for_each("part", ["[", '{"a":', '"\\ud800",'])
 async def test_endless_nesting_is_malformed(house: House, part: str) -> None:
     engineer = await house.program(Role.ENGINEER)
     content = (part * MAX_PLAIN_BODY_BYTES)[:MAX_PLAIN_BODY_BYTES].encode()
@@ -184,23 +177,6 @@ def test_keys_of_many_parts_cost_no_more_than_their_length(text: str) -> None:
     with pytest.raises(DocumentError, match="too many dotted parts"):
         read_document(text)
     assert time.thread_time() - begun < CPU_S
-
-
-def test_a_comment_may_have_as_many_dots_as_it_likes() -> None:
-    assert MAX_KEY_STEPS > 1000**2
-    with pytest.raises(DocumentError, match="lacks format"):
-        read_document('comment = "' + "." * 1000 + '"')
-
-
-@for_each(
-    "body",
-    [{"document": "".join(f"k{n} = 1\n" for n in range(20_000))}, {"document": [{"a": 1}] * 150_000}],
-)
-async def test_large_bodies_are_read_beside_the_loop(house: House, body: object) -> None:
-    engineer = await house.program(Role.ENGINEER)
-    content = json.dumps(body).encode()
-    # A collection of garbage may come into one of them.
-    assert min([await cpu_s(engineer, 422, RESTORES, content, **JSON) for _ in range(2)]) < 0.1
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,6 @@ import httpx
 import pytest
 
 from app.core.web.access import Role
-from app.people.auth.accounts import Accounts
-from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
 from tests.app.configuration_file import TEXT, UNIT, fields_of, form_of, written
 
@@ -110,14 +108,6 @@ async def test_of_two_browsers_at_once_one_writes_and_the_other_is_shown_what_ch
     again = await browsers[late].post(UNIT, data={**kept, "act": "change", "confirmed": "true"})
     assert again.status_code == 303
     assert text_of(tmp_path).count('"Unwinder"') == text_of(tmp_path).count('"Wet"') == 1
-
-
-async def test_a_form_of_an_engineer_with_a_lower_role(house: House, tmp_path: Path) -> None:
-    client = await house.signed_in(Role.ENGINEER)
-    form = {**await form_of(client, name="Unwinder"), "confirmed": "true"}
-    await house.services[Accounts].set_role("the-engineer", Role.OPERATOR, **BY)
-    assert (await client.post(UNIT, data=form)).status_code in (303, 403)
-    assert text_of(tmp_path) == TEXT
 
 
 async def test_a_form_that_is_sent_twice_is_one_version(house: House) -> None:

@@ -18,7 +18,7 @@ from app.line.alarms.line_alarms import LineAlarms
 from app.main import create_app
 from app.people.audit.anchor import Anchoring, AnchorStatus
 from app.people.audit.keys import open_keys
-from app.people.audit.log import EventLog, Filter
+from app.people.audit.log import EventLog
 from app.people.audit.proof import heads_of
 from app.settings import load
 from tests.app.complete_app import settings_in
@@ -130,34 +130,11 @@ def test_a_kill_while_the_anchor_is_replaced_leaves_the_one_before(
     assert plant.verify()[0] == 0
 
 
-def test_files_of_a_version_without_them_are_no_alteration(plant: QuietPlant) -> None:
-    plant.anchor.unlink()
-    assert plant.verify()[0] == 0
-    assert plant.serve() == AnchorStatus()
-    assert plant.verify()[0] == 0
-
-
 def test_a_lost_key_begins_the_anchor_again_and_keeps_the_old_one(plant: QuietPlant) -> None:
     plant.key.unlink()
     assert plant.serve() == AnchorStatus()
     assert plant.verify()[0] == 0
     assert len(list(plant.key.parent.glob("*.anchor.until-*"))) == 1
-
-
-def test_a_default_place_that_cannot_be_written_is_reported_once(plant: QuietPlant) -> None:
-    async def run() -> tuple[AnchorStatus, list[str]]:
-        database = Database(plant.store)
-        log = EventLog(database)
-        anchoring = Anchoring(log, plant.store / "no folder" / "anchor", is_configured=False)
-        for _ in range(3):
-            await anchoring.export()
-        events, _ = await log.page(Filter(kind="audit"), 10)
-        database.close()
-        return anchoring.status, [event["what"] for event in events]
-
-    status, events = asyncio.run(run())
-    assert status == AnchorStatus()
-    assert events.count("audit anchor not written") == 1
 
 
 def test_a_restored_store_is_recorded_and_begins_a_new_anchor(plant: QuietPlant, tmp_path: Path) -> None:
@@ -172,11 +149,3 @@ def test_a_restored_store_is_recorded_and_begins_a_new_anchor(plant: QuietPlant,
     [message] = plant.events("the stores were restored from a backup")
     assert "the audit log that was replaced ended at entry 14, " in message
     assert "the anchor names entry 14" in plant.broken_at("--anchor", str(aside)), "it stays as evidence"
-
-
-def test_a_configured_anchor_outlives_a_restore(plant: QuietPlant, tmp_path: Path) -> None:
-    plant.config.write_text('[server]\ndata = "data"\n[audit]\nanchor = "lineside.audit.key.anchor"\n')
-    plant.command("backup-store", str(tmp_path / "one.tar"))
-    printed = plant.command("restore-store", str(tmp_path / "one.tar"), "--yes")
-    assert "name another file as anchor in [audit]" in printed
-    assert plant.anchor.exists()

@@ -24,13 +24,6 @@ REPLACED: dict[str, Callable[[Path], object]] = {
     "a pipe": os.mkfifo,
     "a folder": Path.mkdir,
 }
-ENTRIES = [
-    {"id": 1},
-    {"id": True, "hash": 1},
-    {"id": 10**40, "chain": ["a"]},
-    {"id": 1, "chain": {"a": 1}, "time": {}, "hash": []},
-    {"id": -1, "who": "\ud800", "time": 1e999},
-]
 
 
 @pytest.mark.parametrize("how", REPLACED)
@@ -52,7 +45,9 @@ async def test_a_file_that_was_replaced_is_named_and_none_ends_the_archive(log: 
     assert (await log.verify()).broken is None
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=range(len(ENTRIES)))
+@pytest.mark.parametrize(
+    "entry", [{"id": True, "hash": 1}, {"id": -1, "who": "\ud800", "time": 1e999}], ids=[0, 1]
+)
 async def test_an_entry_that_is_none_is_named(log: Log, entry: dict[str, object]) -> None:
     await log.five_months()
     await log.archive.archive_due()

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import inspect
 import time
 import tracemalloc
-from collections.abc import Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import AsyncExitStack
+from functools import wraps
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 import httpx
@@ -135,6 +138,19 @@ def scene(runner: asyncio.Runner, tmp_path_factory: pytest.TempPathFactory) -> I
     runner.run(stack.aclose())
 
 
+def on_scene(attack: Callable[..., Awaitable[None]]) -> Callable[..., None]:
+    """Run an async test in the loop of the app that all of them attack."""
+
+    @wraps(attack)
+    def test(runner: asyncio.Runner, **given: Any) -> None:
+        runner.run(attack(**given))  # type: ignore[arg-type]
+
+    signature = inspect.signature(attack)
+    runner = inspect.Parameter("runner", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    test.__signature__ = signature.replace(parameters=[runner, *signature.parameters.values()])  # type: ignore[attr-defined]
+    return test
+
+
 @settings(suppress_health_check=[HealthCheck.too_slow], max_examples=settings.default.max_examples // 6)
 @given(plausible=PLAUSIBLE, messages=st.lists(MESSAGES, max_size=3))
 def test_no_message_of_a_worker_breaks_the_app_or_a_page(
@@ -157,75 +173,61 @@ def test_no_first_message_does_either(runner: asyncio.Runner, scene: Scene, firs
 
 
 @pytest.mark.parametrize(("bus", "is_admitted"), [(BUS, True), ("wet-end", False)])
-def test_large_messages_may_follow_a_hello_that_is_accepted(
-    runner: asyncio.Runner, scene: Scene, bus: str, is_admitted: bool
+@on_scene
+async def test_large_messages_may_follow_a_hello_that_is_accepted(
+    scene: Scene, bus: str, is_admitted: bool
 ) -> None:
-    async def attack() -> None:
-        socket = await scene.serve(HostileSocket([encode(hello(uuid4().hex, bus=bus))]))
-        assert socket.is_admitted is is_admitted
-
-    runner.run(attack())
+    socket = await scene.serve(HostileSocket([encode(hello(uuid4().hex, bus=bus))]))
+    assert socket.is_admitted is is_admitted
 
 
 @pytest.mark.parametrize("decimals", [10, 255, 2**32 - 1])
-def test_decimals_that_no_value_can_have_are_not_believed(
-    runner: asyncio.Runner, scene: Scene, decimals: int
-) -> None:
+@on_scene
+async def test_decimals_that_no_value_can_have_are_not_believed(scene: Scene, decimals: int) -> None:
     """Ten to the power of #3 did not finish."""
-
-    async def attack() -> None:
-        now = time.time()
-        values: list[Update] = [ParameterValue(1, 3, now, decimals), ParameterValue(1, 2, now, 2**32 - 1)]
-        await scene.attack(encode(snapshot()), encode(Batch(1, now, [*values, reading(1, 2**32 - 1)])))
-        await scene.look_at_everything()
-
-    runner.run(attack())
+    now = time.time()
+    values: list[Update] = [ParameterValue(1, 3, now, decimals), ParameterValue(1, 2, now, 2**32 - 1)]
+    await scene.attack(encode(snapshot()), encode(Batch(1, now, [*values, reading(1, 2**32 - 1)])))
+    await scene.look_at_everything()
 
 
-def test_a_batch_larger_than_any_worker_makes_is_no_message(runner: asyncio.Runner, scene: Scene) -> None:
-    async def attack() -> None:
-        many = Batch(1, time.time(), [reading(1)] * (MAX_UPDATES + 1))
-        socket = await scene.attack(encode(snapshot()), encode(many))
-        assert socket.reason is not None
-        assert f"length <= {MAX_UPDATES}" in socket.reason
-
-    runner.run(attack())
+@on_scene
+async def test_a_batch_larger_than_any_worker_makes_is_no_message(scene: Scene) -> None:
+    many = Batch(1, time.time(), [reading(1)] * (MAX_UPDATES + 1))
+    socket = await scene.attack(encode(snapshot()), encode(many))
+    assert socket.reason is not None
+    assert f"length <= {MAX_UPDATES}" in socket.reason
 
 
-def test_a_flood_of_events_is_summed_up(runner: asyncio.Runner, scene: Scene) -> None:
+@on_scene
+async def test_a_flood_of_events_is_summed_up(scene: Scene) -> None:
     """Every reading with another mode, run input and e-stop: three events each into a log that is kept."""
-
-    async def attack() -> None:
-        events = scene.house.services[EventLog]
-        before = (await events.page(Filter(), 1))[0][0]["id"]
-        flips: list[Update] = [
-            msgspec.structs.replace(reading(1), outputs=0x40 * (n % 2), inputs=3 * (n % 2))
-            for n in range(MAX_UPDATES)
-        ]
-        batches = [encode(Batch(seq, time.time(), flips)) for seq in range(1, 7)]
-        await scene.attack(encode(snapshot()), *batches)
-        await scene.house.services.buses[BUS][ChangeRecorder].recorded()
-        found, _ = await events.page(Filter(), 1000)
-        fresh = [event for event in found if event["id"] > before]
-        assert len(fresh) < 100
-        summary = next(event for event in fresh if event["kind"] == "estop" and event["message"])
-        assert summary["message"].startswith("the last of 29")
-
-    runner.run(attack())
+    events = scene.house.services[EventLog]
+    before = (await events.page(Filter(), 1))[0][0]["id"]
+    flips: list[Update] = [
+        msgspec.structs.replace(reading(1), outputs=0x40 * (n % 2), inputs=3 * (n % 2))
+        for n in range(MAX_UPDATES)
+    ]
+    batches = [encode(Batch(seq, time.time(), flips)) for seq in range(1, 7)]
+    await scene.attack(encode(snapshot()), *batches)
+    await scene.house.services.buses[BUS][ChangeRecorder].recorded()
+    found, _ = await events.page(Filter(), 1000)
+    fresh = [event for event in found if event["id"] > before]
+    assert len(fresh) < 100
+    summary = next(event for event in fresh if event["kind"] == "estop" and event["message"])
+    assert summary["message"].startswith("the last of 29")
 
 
-def test_a_token_sends_hello_only_so_often(runner: asyncio.Runner, scene: Scene) -> None:
-    async def attack() -> None:
-        workers, credential = scene.house.services[Workers], Credential("busy", BUS, "192.0.2.66")
-        sockets = [HostileSocket([b"no hello"]) for _ in range(int(MAX_HELLOS_AT_ONCE) + 5)]
-        for socket in sockets:
-            await workers.serve(socket, credential)
-        assert [socket.reason for socket in sockets].count(TOO_OFTEN) == 5
-        other = HostileSocket([b"no hello"])
-        await workers.serve(other, Credential("other", BUS, "192.0.2.66"))
-        assert other.reason not in (None, TOO_OFTEN)
-
-    runner.run(attack())
+@on_scene
+async def test_a_token_sends_hello_only_so_often(scene: Scene) -> None:
+    workers, credential = scene.house.services[Workers], Credential("busy", BUS, "192.0.2.66")
+    sockets = [HostileSocket([b"no hello"]) for _ in range(int(MAX_HELLOS_AT_ONCE) + 5)]
+    for socket in sockets:
+        await workers.serve(socket, credential)
+    assert [socket.reason for socket in sockets].count(TOO_OFTEN) == 5
+    other = HostileSocket([b"no hello"])
+    await workers.serve(other, Credential("other", BUS, "192.0.2.66"))
+    assert other.reason not in (None, TOO_OFTEN)
 
 
 def test_memory_does_not_grow_with_what_a_worker_sends(tmp_path: Path) -> None:

@@ -86,21 +86,6 @@ async def test_of_two_at_once_one_is_the_first(house: House) -> None:
     assert len(await users(house)) == 1
 
 
-async def test_a_user_added_by_the_command_line_closes_it(house: House) -> None:
-    code = code_of(house)
-    await house.add("ann", Role.VIEWER)
-    assert await create(house.client(), code) == 409
-    assert await users(house) == [("ann", "viewer")]
-
-
-async def test_a_weak_password_spends_nothing(house: House) -> None:
-    form = {"code": code_of(house), "name": "ada", "password": "short", "again": "short"}
-    response = await house.client().post("/setup", data=form)
-    assert response.status_code == 422
-    assert "12 to" in response.text
-    assert await create(house.client(), code_of(house)) == 303
-
-
 async def test_a_foreign_page_cannot_use_it(house: House) -> None:
     assert await create(house.client(origin="http://evil.example"), code_of(house)) == 403
 

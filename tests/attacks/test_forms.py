@@ -220,15 +220,3 @@ async def test_a_form_that_is_sent_again_shows_its_result(house: House, line: Pl
     assert len(line.held) == 1
     other = await send(client, path, {**fields, "id": "another-id-of-a-form"}, "")
     assert (other.status_code, "nothing was sent" in other.text) == (409, True)
-
-
-async def test_a_tray_that_is_sent_again_states_that_it_was_sent(house: House, line: PlayedLine) -> None:
-    client = await house.signed_in(Role.ENGINEER)
-    await client.post(f"/units/{BUS}/1/parameters/read")
-    await send(client, f"/units/{BUS}/1/tray/parameters/6", {"raw": "5"}, "")
-    review = (await client.get(f"/bus/{BUS}/tray/review", headers={"hx-request": "true"})).text
-    [row] = re.findall(r'name="row" value="([^"]+)"', review)
-    done, again = [await send(client, f"/bus/{BUS}/tray/send", {"row": row}, "") for _ in range(2)]
-    assert (done.status_code, again.status_code) == (200, 409)
-    assert "was sent before" in again.text
-    assert line.written == [(1, 6, 5)]

@@ -14,7 +14,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from app.core.web.access import Role
 from app.line.live import hub
-from app.line.live.browser import Browser, Diff
+from app.line.live.browser import Browser
 from app.line.live.hub import MAX_WATCH_BURST, Broadcast, Hub
 from app.line.live.requests import MAX_PAGES_OF_ACCOUNT, Admission
 from app.main import create_app
@@ -49,13 +49,6 @@ async def test_a_page_that_sends_a_thousand_requests_without_reading_waits_for_o
         broadcast.send_snapshot(browser)
     assert [json.loads(text)["is"] for text in await browser.next()] == ["snapshot"]
     assert browser._snapshot is None
-
-
-async def test_what_changes_after_the_request_still_follows_the_snapshot() -> None:
-    browser = Browser("anna", "viewer", "en")
-    browser.send({"is": "snapshot", "n": 1})
-    browser.send_diff(Diff(1, 2, 100.0, {"dry/1": {"actual": "1"}}))
-    assert [json.loads(text)["is"] for text in await browser.next()] == ["snapshot", "diff"]
 
 
 def test_endless_requests_of_a_page_get_responses_at_its_pace(

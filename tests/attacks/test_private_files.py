@@ -12,7 +12,7 @@ import pytest
 
 from app import cli
 from app.core.database import Database
-from app.core.database.files import make_file, make_private, write_file
+from app.core.database.files import make_private, write_file
 from app.errors import StoreError
 from bus import __main__ as worker
 from bus.worker import process as parent
@@ -138,19 +138,6 @@ def test_files_of_another_user_are_refused(tmp_path: Path, name: str) -> None:
     os.chown(folder / name, 65534, 65534)
     with pytest.raises(StoreError, match=r"belongs to another user \(uid 65534\)"):
         make_private(folder)
-
-
-def test_a_store_is_private_whatever_the_umask(tmp_path: Path) -> None:
-    before = os.umask(0)
-    try:
-        database = Database(tmp_path / "deep" / "lineside.db")
-        database.write_now(lambda connection: connection.execute("CREATE TABLE t (x)"))
-        make_file(tmp_path / "deep" / "other")
-    finally:
-        os.umask(before)
-    assert loose(tmp_path / "deep") == []
-    assert (tmp_path / "deep").stat().st_mode & 0o777 == 0o700
-    database.close()
 
 
 @pytest.mark.parametrize("process", ["command", "worker"])

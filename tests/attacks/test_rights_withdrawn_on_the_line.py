@@ -115,18 +115,6 @@ async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tm
         assert (event["what"], event["old"]) == ("control released", "key-engineer (token)")
 
 
-async def test_a_change_of_the_baud_rate_is_given_up(house: House, line: PlayedLine) -> None:
-    client = await house.signed_in(Role.ENGINEER)
-    pending = asyncio.create_task(
-        client.post(f"/api/v1/buses/{BUS}/baud", json={"baud": 4800, "confirm": True, "timeout_s": 20})
-    )
-    await until(lambda: line.held, "the command on its way")
-    await withdraw(house, "disabled")
-    await until(lambda: line.cancelled, "the command given up")
-    assert line.cancelled == [line.held[0].id]
-    pending.cancel()
-
-
 async def test_a_write_that_ends_while_the_set_before_it_is_stored_is_an_event(
     house: House, line: PlayedLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:

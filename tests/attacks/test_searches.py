@@ -18,7 +18,6 @@ from app.core.web.access import Person, Role, public
 from app.core.web.routes import (
     MAX_AT_ONCE,
     MAX_READS,
-    MAX_WAITING,
     GuardedRoute,
     Turns,
 )
@@ -104,27 +103,6 @@ async def test_a_download_keeps_its_turn_until_it_is_read(
     assert [response.status_code for response in await asyncio.gather(*pending)] == [200] * len(pending)
     assert begun == MAX_AT_ONCE + 2
     assert not house.services[Turns].downloads.count_of("key-viewer (token)")
-
-
-async def test_beyond_those_that_wait_an_account_is_refused(house: House) -> None:
-    gate = asyncio.Event()
-
-    async def hold() -> None:
-        async with house.services[Turns].searches.turn("key-viewer (token)"):
-            await gate.wait()
-
-    held = [asyncio.create_task(hold()) for _ in range(MAX_AT_ONCE + MAX_WAITING)]
-    await until(lambda: house.services[Turns].searches.count_of("key-viewer (token)") == len(held))
-    client = await house.program(Role.VIEWER)
-    refused = await client.get("/api/v1/events")
-    assert (refused.status_code, refused.json()["code"], refused.headers["retry-after"]) == (
-        429,
-        "too_many",
-        "2",
-    )
-    gate.set()
-    await asyncio.gather(*held)
-    assert (await client.get("/api/v1/events")).status_code == 200
 
 
 async def test_what_an_account_reads_comes_in_turns_and_others_do_not_wait(

@@ -7,11 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import pytest
 
-from app.core.database.files import MIN_FREE_OF_OTHERS
 from app.core.web.access import Role
-from app.records.handover import notes
 from app.records.handover.notes import MAX_AGE_DAYS, MAX_PER_HOUR
 from app.records.handover.rules import Shift, ShiftSettings
 from app.records.handover.service import Handover
@@ -95,20 +92,3 @@ async def test_the_pictures_of_a_site_are_bounded(tmp_path: Path) -> None:
         assert (refused.status_code, refused.json()["code"]) == (409, "too_many")
         assert "pictures_mb" in refused.json()["detail"]
         assert (await write(operator)).status_code == 201, "a note without one has room"
-
-
-async def test_the_notes_of_a_site_are_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(notes, "MAX_OF_SITE", 2)
-    operator = await house.signed_in(Role.OPERATOR)
-    assert [(await write(operator)).status_code for _ in range(3)] == [201, 201, 409]
-
-
-async def test_where_the_disk_is_kept_for_commands_nothing_is_stored(
-    house: House, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    operator = await house.signed_in(Role.OPERATOR)
-    monkeypatch.setattr(notes, "free_bytes", lambda _: MIN_FREE_OF_OTHERS - 1)
-    refused = await write(operator, pictures=[picture(1)])
-    assert (refused.status_code, refused.json()["code"]) == (503, "store")
-    assert await house.events("shift") == []
-    assert not (house.services.settings.server.data / "pictures.db").exists()

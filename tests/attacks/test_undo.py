@@ -107,12 +107,6 @@ async def test_a_form_for_another_value_sends_nothing(
     assert len(line.written) == 1
 
 
-@for_each("unit", ["/units/elsewhere/1", f"/units/{BUS}/9", f"/units/{BUS}/256"])
-async def test_a_form_for_no_unit_is_none(client: httpx.AsyncClient, unit: str) -> None:
-    refused = await client.post(f"{unit}/parameters/{NUMBER}", data=await review(client))
-    assert refused.status_code in (404, 422)
-
-
 async def test_what_another_person_has_set_since_its_review_stays(
     house: House, client: httpx.AsyncClient, line: PlayedLine
 ) -> None:
@@ -136,10 +130,3 @@ async def test_after_a_minute_only_a_review_that_began_in_time(
     ahead = 60.0
     assert (await client.post(PARAMETER, data={**form, "id": "in-time-1"})).status_code == 200
     assert line.memory[1][NUMBER] == BEFORE
-
-
-async def test_a_forged_undo_leaves_no_trace_of_its_sender(house: House, client: httpx.AsyncClient) -> None:
-    del client
-    undoing = house.services.buses[BUS][CommandService].undo
-    undoing._stack.undone("nobody", "first")
-    assert "nobody" not in undoing._stack._sent

@@ -115,12 +115,6 @@ def test_a_dialect_with_one_width_takes_no_other() -> None:
     assert len(encode_reply(ParameterReply(1, 200, 4), two_wide)) == 9
 
 
-@pytest.mark.parametrize("data", [b"", b"\x05", b"\x00\x05", b"\x00\x00\x00\x05"])
-def test_a_parameter_write_is_acknowledged_with_or_without_the_value(data: bytes) -> None:
-    body = bytes((1, 6)) + data
-    assert parse_reply(WriteParameterRequest(1, 6, 5), body, BINARY) == Ack(1, data)
-
-
 def test_a_response_to_86h_without_ack_as_the_manual_draws_it_is_not_taken() -> None:
     assert parse_reply(WriteParameterRequest(1, 6, 5), b"\x01\x00\x00\x00\x05", BINARY) is None
 

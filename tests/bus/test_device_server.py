@@ -226,12 +226,6 @@ async def test_a_server_that_closes_is_reported_once_and_found_again(server: Dev
     await asyncio.sleep(0.01)
 
 
-@on_both_loops
-async def test_a_missing_server_is_reported() -> None:
-    with pytest.raises(PortUnavailable, match=r"rfc2217://127\.0\.0\.1:1 (refuses|cannot be)"):
-        await open_port("rfc2217://127.0.0.1:1", 9600, Receiver())
-
-
 @pytest.mark.parametrize("options", [b"", b"\xff\xfb\x2c\xff\xfd\x2c\xff\xfa\x2c\x64\x00\xff\xf0"])
 async def test_a_port_that_another_client_has_is_named(options: bytes) -> None:
     """ser2net states it as data, after the options of Telnet, and closes."""

@@ -118,14 +118,3 @@ def test_a_command_has_its_turn_at_every_baud(baud: int, action: Action) -> None
         assert result.outcome == "verified", str(result.message)
 
     run(scene, UNITS, baud=baud)
-
-
-@played(UNITS, baud=min(BAUDS))
-async def test_polls_go_on_while_commands_wait(line: VirtualLine) -> None:
-    await all_online(line, min(BAUDS))
-    seen = len(line.readings())
-    commands = [
-        line.command(ReadParameters(unit=unit, numbers=[2, 6, 7, 8]), timeout_s=60.0) for unit in line.units
-    ]
-    await line.until(lambda: all(map(line.result_of, commands)))
-    assert len(line.readings()) - seen >= 4 * UNITS - 1

@@ -172,13 +172,6 @@ def test_two_units_that_respond_one_after_the_other() -> None:
     assert one.kind == "garbled"
 
 
-def test_a_little_noise_makes_a_remark_only() -> None:
-    turns = iter(range(1000))
-    one = found(lambda probe: replace(unit()(probe), noise=LineNoise(garbled=next(turns) == 2)))
-    assert one.kind == "digimax"
-    assert "1 of " in str(one.remarks[0])
-
-
 def test_noise_that_is_not_repeated_is_no_unit() -> None:
     outcomes = iter([GARBAGE])
     assert outcome_of(lambda _: next(outcomes, NO_RESPONSE))[0] is None
@@ -188,11 +181,6 @@ def test_what_refuses_81h_is_no_digimax() -> None:
     one = found(lambda _: ProbeOutcome(Nak(5, 0x89)))
     assert one.kind == "foreign"
     assert one.remarks[0] == Message.of("found_refuses", error="89")
-
-
-def test_a_device_with_frames_of_another_shape_is_no_digimax() -> None:
-    one = found(lambda _: ProbeOutcome(noise=LineNoise(unexpected=True)))
-    assert one.kind == "foreign"
 
 
 def test_a_unit_that_responds_to_81h_only() -> None:
@@ -300,7 +288,3 @@ def test_passes_repeat_while_they_find_a_unit() -> None:
 
 def test_four_times_at_the_most() -> None:
     assert requested(range(1, 5), {1: 2, 2: 3, 3: 4})[0].count(4) == 4
-
-
-def test_where_all_units_respond_none_is_probed_twice() -> None:
-    assert requested(range(1, 4), {1: 1, 2: 1, 3: 1}) == ([1, 2, 3], [2, 4, 6])

@@ -212,18 +212,6 @@ async def test_a_pulled_cable_is_seen_within_a_second_and_found_within_three(lin
     assert line.acted() == []
 
 
-@played(2)
-async def test_a_port_that_is_absent_at_start_is_waited_for(line: VirtualLine) -> None:
-    line.plugged = False
-    await asyncio.sleep(5)
-    state = line.worker.snapshot(0).bus
-    assert state.link == "closed"
-    assert "is the adapter plugged in?" in str(state.cause)
-    assert len([u for u in line.updates if isinstance(u, BusLink)]) == 1, "reported only once"
-    line.plug()
-    await line.until(lambda: line.readings(1), within_s=3.0)
-
-
 @played(8, turnaround_ms=300)
 async def test_a_line_that_is_switched_on_again_is_found_within_three_seconds_however_slow_it_may_be(
     line: VirtualLine,
@@ -309,20 +297,6 @@ async def test_a_full_read_while_watched_costs_the_scan_no_more_than_a_tenth(lin
 
 
 @played(2)
-async def test_reading_what_a_short_list_does_not_have(line: VirtualLine) -> None:
-    line.plant.unit(1).traits = dataclasses.replace(line.plant.unit(1).traits, last_parameter=20)
-    await settled(line)
-    result = await line.perform(ReadParameters(1, [19, 20, 21, 22]))
-    assert result.outcome == "verified"
-    assert [(value.number, value.available) for value in result.values] == [
-        (19, True),
-        (20, True),
-        (21, False),
-        (22, False),
-    ]
-
-
-@played(2)
 async def test_a_short_timeout_does_not_cost_a_complete_list(line: VirtualLine) -> None:
     await settled(line)
     command = line.command(ReadParameters(1))
@@ -378,25 +352,6 @@ async def test_the_new_rate_is_reported_before_any_reading_at_it(line: VirtualLi
     last_acted = max(at for at, _, _ in line.acted()) + EPOCH
     at_new_rate = [u for u in line.updates if isinstance(u, Reading) and u.at > last_acted]
     assert line.updates.index(reported[-1]) < line.updates.index(at_new_rate[0])
-
-
-@played(3)
-async def test_a_line_found_at_its_new_rate_is_polled_there_only(line: VirtualLine) -> None:
-    """From then on a cable pulled for long is an ordinary timeout, and ends where it began."""
-    _decide(line, [False] * 3)
-    await settled(line)
-    assert (await line.perform(ChangeBaud(4800), timeout_s=10)).outcome == "verified"
-    for unit in line.plant.units:
-        unit.power_up()
-    await line.until(lambda: bus_rates(line)[-1] == 4800 and unit_links(line, 1)[-1] == "online")
-    await asyncio.sleep(3)
-    rates = bus_rates(line)
-    for unit in line.units:
-        line.faults.set(FaultKind.DEAD, 1.0, unit)
-    await asyncio.sleep(4 * LOOK_ELSEWHERE_S)
-    line.faults.clear()
-    await line.until(lambda: unit_links(line, 1)[-1] == "online")
-    assert bus_rates(line) == rates
 
 
 @played(3, turnaround_ms=300)

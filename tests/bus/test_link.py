@@ -144,17 +144,6 @@ async def test_a_response_that_begins_at_the_last_moment_is_waited_for(wires: Wi
     assert wires.results[0].reply == STATUS
 
 
-async def test_a_response_after_its_window_is_late_and_not_taken_by_the_next(wires: Wires) -> None:
-    wires.send(ReadParameterRequest(1, 6))
-    wires.pass_time(0.1)
-    wires.send(ReadStatusRequest(1))
-    wires.receive(encode_reply(ParameterReply(1, 55), PLAIN))
-    assert len(wires.results) == 1
-    wires.respond(after_s=0.0)
-    assert wires.results[1].reply == STATUS
-    assert wires.roster[1].statistics.counts.foreign + wires.roster[1].statistics.counts.late == 1
-
-
 async def test_a_duplicate_comes_too_early_to_be_the_next_response(wires: Wires) -> None:
     wires.send(ReadStatusRequest(1))
     wires.respond()
@@ -197,15 +186,6 @@ async def test_bytes_without_end_do_not_hold_the_window_open(wires: Wires) -> No
     assert wires.link.counts.noise_bytes > 0
 
 
-async def test_an_echo_is_counted_and_is_no_response(wires: Wires) -> None:
-    wires.send(SetAndExecuteSpeedRequest(1, 640))
-    wires.receive(wires.written[0])
-    wires.pass_time(0.005)
-    wires.receive(encode_reply(Ack(1), PLAIN))
-    assert wires.results[0].reply == Ack(1)
-    assert wires.link.counts.echoes == 1
-
-
 async def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:
     wires.send(SetAndExecuteSpeedRequest(1, 640))
     wires.link.lose(GONE)
@@ -220,18 +200,6 @@ async def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:
 
 
 # --- the trace -----------------------------------------------------------------------------------
-
-
-async def test_the_trace_gives_back_what_passed_in_order(wires: Wires) -> None:
-    wires.send(ReadStatusRequest(1))
-    wires.respond()
-    first, second = wires.trace.since(0.0)
-    assert (first.direction, second.direction) == ("out", "in")
-    assert second.at > first.at
-    interpreter = Interpreter(PLAIN)
-    assert "read speed and status" in interpreter.frame(first).meaning
-    assert "commanded 500" in interpreter.frame(second).meaning
-    assert [passed.at for passed in wires.trace.since(second.at)] == [second.at]
 
 
 async def test_a_secret_passes_without_its_bytes(wires: Wires) -> None:
@@ -362,17 +330,6 @@ async def test_bytes_gather_until_a_response_can_be_complete() -> None:
     assert result.reply == replace(STATUS, unit=2)
     assert result.ended == pytest.approx(100.0 + 2 * 25 * BYTE_S)
     assert line.roster[2].statistics.times.largest == pytest.approx(0.0, abs=0.0002)
-
-
-async def test_a_leftover_that_gathered_is_still_too_early() -> None:
-    line = Wires()
-    for _ in range(2):
-        line.send(ReadStatusRequest(1))
-        line.respond()
-    line.send(ReadStatusRequest(2))
-    line.gathered = encode_reply(replace(STATUS, unit=2, actual=77), PLAIN)
-    line.respond(replace(STATUS, unit=2, actual=78))
-    assert line.results[-1].reply == replace(STATUS, unit=2, actual=78)
 
 
 async def test_a_response_found_after_a_stall_is_as_old_as_its_window() -> None:

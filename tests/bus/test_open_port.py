@@ -184,17 +184,6 @@ async def test_a_port_that_takes_half_a_request_reports_it(monkeypatch: pytest.M
 
 
 @on_both_loops
-async def test_another_baud_rate_without_reopening() -> None:
-    with terminal() as name:
-        port = await open_port(name, 9600, Receiver())
-        port.retune(4800)
-        with serial.Serial(name) as other:
-            assert other.is_open
-        port.close()
-        await asyncio.sleep(0.01)
-
-
-@on_both_loops
 async def test_a_taken_port_is_named_with_its_holder(monkeypatch: pytest.MonkeyPatch) -> None:
     with terminal() as name:
         holder = await asyncio.create_subprocess_exec(

@@ -48,14 +48,6 @@ def test_each_update_goes_at_once_and_what_piled_up_goes_together(outbox: Outbox
     assert not outbox.filled.is_set()
 
 
-def test_what_the_app_has_is_forgotten(outbox: Outbox) -> None:
-    for number in range(3):
-        outbox.put([reading(number)])
-        outbox.next_batch(0.0)
-    outbox.delivered(2)
-    assert len(outbox) == 1
-
-
 def test_after_a_break_all_that_the_app_does_not_have_comes_again_in_order(outbox: Outbox) -> None:
     for number in range(4):
         outbox.put([reading(number)])
@@ -145,19 +137,6 @@ def test_a_result_with_many_frames_counts_as_many() -> None:
     outbox.put([Result(str(number), 0.0, "verified", frames=[frame] * 200) for number in range(50)])
     outbox.resume(0)
     assert len(drain(outbox)) == 4
-
-
-def test_others_are_bounded(outbox: Outbox) -> None:
-    outbox.disconnected()
-    outbox.put([result(number) for number in range(50)])
-    outbox.resume(0)
-    assert drain(outbox) == [result(number) for number in range(45, 50)]
-    assert outbox.lost == 45
-
-
-def test_ten_minutes_of_a_full_bus_are_kept() -> None:
-    left_after_a_drop = 0.9 * MAX_READINGS
-    assert left_after_a_drop / 38.4 >= 600
 
 
 def test_an_app_that_is_away_for_hours_costs_no_more_than_a_few_megabytes() -> None:

@@ -193,17 +193,6 @@ def test_a_server_that_accepts_and_ends_its_negotiation_is_left_in_peace_too() -
     assert len(lines) < 40
 
 
-def test_causes_that_take_turns_are_few_lines() -> None:
-    line = PlayedLoop(lambda _: None, failure=lambda n: WireError(Message(CAUSES[n % 2])))
-    assert len(play(line, DAY_S / 24)) < 20
-    assert line.tried > DAY_S / 24
-
-
-def test_the_opening_that_lasts_at_last_is_a_line() -> None:
-    line = PlayedLoop(lambda tried: 0.001 if tried <= 5 else 1e9)
-    assert play(line, 600.0)[-1] == "port open"
-
-
 # --- the app -------------------------------------------------------------------------------------
 
 

@@ -163,16 +163,6 @@ def test_one_watched_unit_of_eight_is_polled_at_most_ten_times_a_second() -> Non
     assert min(others) > 38.4 / 8 * MIN_SHARE_OF_A_TURN
 
 
-def test_a_unit_that_joins_late_does_not_make_up_for_what_it_missed() -> None:
-    turns = PollOrder([1, 2, 3], POLL_S)
-    turns.join(1)
-    turns.join(2)
-    for _ in range(1000):
-        turns.next_unit()
-    turns.join(3)
-    assert Counter(turns.next_unit() for _ in range(30)) == {1: 10, 2: 10, 3: 10}
-
-
 def test_a_unit_that_leaves_has_no_more_turns() -> None:
     turns = PollOrder([1, 2], POLL_S)
     turns.join(1)
@@ -271,15 +261,6 @@ def test_a_limit_holds_neither_the_first_responses_nor_parameters_nor_probes_up(
     assert [task.kind for _, task, _ in line.tasks[:8]] == [TaskKind.FIRST] * 8
     assert len(list(line.of(TaskKind.PROBE))) >= 4
     assert 7 * 5 <= len(list(line.of(TaskKind.POLL))) <= 7 * 6 + 1
-
-
-def test_a_watched_unit_has_a_larger_part_of_what_the_limit_allows() -> None:
-    line = line_of(8, least_scan_s=1.0)
-    line.schedule.watch({4})
-    line.play(60.0)
-    polls = Counter(task.unit for _, task, _ in line.of(TaskKind.POLL, since=30.0))
-    assert polls[4] > 2 * polls[5] > 0
-    assert polls.total() == pytest.approx(8 * 30, abs=2)
 
 
 @given(st.lists(st.floats(0.001, 1.0), min_size=20, max_size=60), st.floats(0.05, 0.9))

@@ -11,7 +11,6 @@ from bus.contract import (
     Reading,
     Result,
     SetSpeed,
-    WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
 )
@@ -224,13 +223,6 @@ def test_a_mode_changed_at_the_panel_is_noticed(record: UnitRecord) -> None:
 # --- the other writes ----------------------------------------------------------------------------
 
 
-def test_a_staged_speed_is_acknowledged_at_best(record: UnitRecord) -> None:
-    result, requests = play(
-        write_to_unit(record, SetSpeed(1, 640, execute=False), CONTEXT), brain_of(reads=[])
-    )
-    assert (result.outcome, len(requests)) == ("acknowledged", 1)
-
-
 @pytest.mark.parametrize(("shown", "withdraws"), [(100, True), (110, False)])
 def test_staging_the_present_speed_withdraws_what_was_staged(
     record: UnitRecord, shown: int, withdraws: bool
@@ -264,11 +256,6 @@ def test_a_parameter_is_verified_by_its_value(record: UnitRecord) -> None:
     result, requests = play(write_to_unit(record, WriteParameter(1, 6, 78), CONTEXT), brain)
     assert (result.outcome, result.read_back) == ("unverified", 77)
     assert len(requests) == 4
-
-
-def test_an_analog_output_is_acknowledged_at_best(record: UnitRecord) -> None:
-    result, _ = play(write_to_unit(record, WriteAnalogOutput(1, 77), CONTEXT), brain_of(reads=[]))
-    assert result.outcome == "acknowledged"
 
 
 # --- one request through its tries ---------------------------------------------------------------

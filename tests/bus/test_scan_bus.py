@@ -95,15 +95,6 @@ async def readings_in(line: VirtualLine, work: Awaitable[object]) -> float:
     return (len(line.readings()) - had) / (line.loop.time() - began)
 
 
-def test_a_unit_that_responds_for_others_is_named() -> None:
-    async def scene(line: VirtualLine) -> Result:
-        line.faults.set(FaultKind.ALL_ADDRESSES, 1.0, unit=2)
-        return await scan(line)
-
-    message = str(run(scene, 2, configured=2).message)
-    assert "unit 2 responds to addresses that are not its own" in message
-
-
 def test_a_device_that_is_no_digimax_is_reported_as_foreign() -> None:
     async def scene(line: VirtualLine) -> Result:
         line.faults.set(FaultKind.WRONG_LENGTH, 1.0, unit=4)

@@ -12,7 +12,6 @@ import pytest
 from msgspec.structs import replace
 
 from bus.contract import (
-    CONTRACT_VERSION,
     BusFigures,
     Frames,
     Progress,
@@ -35,13 +34,6 @@ ROOT = Path(__file__).parents[2]
 async def settled(line: VirtualLine) -> None:
     await line.until(lambda: all(line.readings(unit) for unit in line.units))
     await asyncio.sleep(1.2)
-
-
-@played(2)
-async def test_hello_identifies_the_worker(line: VirtualLine) -> None:
-    hello = line.worker.hello()
-    assert (hello.version, hello.bus, hello.port) == (CONTRACT_VERSION, "virtual", "/dev/virtual")
-    assert hello.worker != VirtualLine(line.loop, 1).worker.worker, "new at every start"
 
 
 @played(2)

@@ -200,17 +200,6 @@ def test_a_late_response_comes_before_any_later_response_of_that_unit() -> None:
     assert [len(body) for body in there.exchange(WriteParameterRequest(1, 6, 50))] == [13, 2]
 
 
-def test_a_flood_never_frames_and_ends() -> None:
-    there = host()
-    there.line.faults.set(FaultKind.FLOOD, 1.0)
-    there.wait(1.0)
-    assert len(there.data) == pytest.approx(960, abs=110)
-    assert there.bodies() == []
-    there.line.faults.clear()
-    there.wait(0.2)
-    assert len(there.exchange(ReadStatusRequest(1))) == 1
-
-
 # --- the record and the seed ----------------------------------------------------------------------
 
 
@@ -289,11 +278,6 @@ def received(pieces: list[Piece]) -> list[bytes]:
 
 
 @given(seeds)
-def test_lost(seed: int) -> None:
-    assert spoilt(FaultKind.LOST, seed) == []
-
-
-@given(seeds)
 def test_late_and_slow_are_complete_responses_after_their_time(seed: int) -> None:
     [late], [slow] = spoilt(FaultKind.LATE, seed), spoilt(FaultKind.SLOW, seed)
     assert late.data == slow.data == FRAME
@@ -365,9 +349,3 @@ def test_a_fault_of_the_line_affects_every_unit_until_cleared() -> None:
     faults.set(FaultKind.LATE, 1.0, unit=3)
     faults.clear()
     assert not faults.strikes(FaultKind.LATE, 3)
-
-
-def test_a_foreign_response_can_carry_a_given_address() -> None:
-    faults = Faults(foreign_address=99)
-    faults.set(FaultKind.FOREIGN, 1.0)
-    assert received(faults.spoil(4, FRAME, BODY)) == [b"\x63" + BODY[1:]]

@@ -123,17 +123,6 @@ def test_it_accelerates_by_the_time_for_the_full_span(seconds: float, share: flo
     assert turn(machine, seconds) == pytest.approx(FULL * share, abs=40)
 
 
-def test_it_slows_down_by_its_own_ramp() -> None:
-    machine = section(SPEED_SETPOINT=FULL, ACCELERATION=10, DECELERATION=200)
-    turn(machine, 5)
-    machine.unit.setpoint = 0
-    assert turn(machine, 10) == pytest.approx(FULL / 2, abs=40)
-
-
-def test_a_ramp_of_nought_is_no_ramp() -> None:
-    assert turn(section(SPEED_SETPOINT=1000, ACCELERATION=0), 1.5) == pytest.approx(1000, abs=5)
-
-
 def test_at_speed_is_the_window_around_the_command() -> None:
     machine = section(SPEED_SETPOINT=1000, AT_SPEED_WINDOW=10)
     seen = set()
@@ -176,19 +165,6 @@ def test_a_follower_holds_its_ratio_to_the_master(ratio: int, base: int) -> None
     assert machine.unit.measured.following == pytest.approx(expected, abs=1)
     assert machine.unit.measured.ratio == pytest.approx(ratio, rel=0.01)
     assert machine.unit.at_speed
-
-
-def test_an_inverse_follower_divides_by_its_ratio() -> None:
-    assert turn(section(FOLLOWER_MODE=2, RATIO_SETPOINT=20000), 30, master_rpm=875) == pytest.approx(
-        500, abs=5
-    )
-
-
-def test_reverse_turns_the_motor_the_other_way_and_shows_the_same_speed() -> None:
-    machine = section(SPEED_SETPOINT=1000)
-    machine.unit.inputs.reverse = True
-    assert turn(machine, 20) == pytest.approx(1000, abs=5)
-    assert machine.rpm < 0
 
 
 def test_the_web_tightens_where_a_section_runs_ahead_of_the_one_before() -> None:

@@ -136,13 +136,6 @@ def test_a_local_unit_ignores_the_broadcast() -> None:
     assert (turn.reply, turn.acted, unit.commanded) == (None, False, 0)
 
 
-@pytest.mark.parametrize("body", ["00 84 00 00 02 10", "00 81", "00 99"])
-def test_nothing_but_execute_goes_to_all(body: str) -> None:
-    unit = Unit()
-    turn = respond(unit, bytes.fromhex(body))
-    assert (turn.reply, turn.acted, unit.commanded) == (None, False, 0)
-
-
 def test_execute_after_power_up_does_not_bring_back_an_old_stage() -> None:
     unit = Unit()
     exchange(unit, SetAndExecuteSpeedRequest(1, 300))
@@ -190,21 +183,6 @@ def test_what_a_parameter_refuses(number: int, raw: int, refusal: Code) -> None:
     assert exchange(unit, WriteParameterRequest(1, number, raw)) == Nak(1, refusal)
 
 
-def test_the_mode_of_following_waits_for_the_drive_to_be_off() -> None:
-    unit = Unit()
-    assert exchange(unit, WriteParameterRequest(1, 8, 1)) == Nak(1, Code.ILLEGAL_PARAMETER_VALUE)
-    assert exchange(stopped(unit), WriteParameterRequest(1, 8, 1)) == Ack(1)
-    assert unit.follows
-
-
-def test_setup_during_run_can_be_locked_while_the_speed_stays_free() -> None:
-    unit = Unit()
-    unit.memory[numbers.SETUP_DURING_RUN] = 0
-    assert exchange(unit, WriteParameterRequest(1, 6, 50)) == Nak(1, Code.ILLEGAL_PARAMETER_VALUE)
-    assert exchange(unit, WriteParameterRequest(1, 20, 50)) == Ack(1)
-    assert exchange(stopped(unit), WriteParameterRequest(1, 6, 50)) == Ack(1)
-
-
 @pytest.mark.parametrize(("number", "response_bytes"), [(3, 1), (1, 2), (2, 4)])
 def test_a_parameter_is_returned_in_the_width_of_its_type(number: int, response_bytes: int) -> None:
     reply = exchange(Unit(), ReadParameterRequest(1, number))
@@ -222,21 +200,6 @@ def test_a_unit_that_counts_in_bcd_returns_eleven_for_11h() -> None:
     unit = Unit(Memory({11: 77}), Traits(Dialect(parameter_numbers="bcd")))
     assert exchange(unit, ReadParameterRequest(1, 0x11)) == ParameterReply(1, 77, 4)
     assert exchange(unit, ReadParameterRequest(1, 0x1A)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
-
-
-def test_a_written_value_may_come_back() -> None:
-    assert exchange(Unit(), WriteParameterRequest(1, 6, 50)) == Ack(1)
-    talkative = Unit(traits=Traits(responds_with_written_value=True))
-    assert exchange(talkative, WriteParameterRequest(1, 6, 50)) == Ack(1, bytes((0, 0, 0, 50)))
-
-
-@pytest.mark.parametrize(("when", "at_once"), [("at once", True), ("at power-up", False)])
-def test_a_new_baud_counts_at_once_or_after_power_up(when: str, at_once: bool) -> None:
-    unit = Unit(traits=Traits(baud_changes=when))  # type: ignore[arg-type]
-    assert exchange(unit, WriteParameterRequest(1, 18, 48)) == Ack(1)
-    assert unit.baud == (4800 if at_once else 9600)
-    unit.power_up()
-    assert unit.baud == 4800
 
 
 @pytest.mark.parametrize("source", [0, 1, 3])

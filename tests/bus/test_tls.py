@@ -148,12 +148,6 @@ def test_both_forms_of_a_time_and_a_certificate_without_version(version: bytes) 
     assert isinstance(found, Certificate)
 
 
-def test_a_year_of_two_digits_is_before_2050() -> None:
-    text = made(der(0x17, b"491231000000Z"), der(0x17, b"690101000000Z"))
-    (found,) = certificates_in(text)
-    assert (found.begins_at, found.ends_at) == (day(2049, 12, 31), day(1969, 1, 1))
-
-
 def test_several_come_in_their_order(tmp_path: Path) -> None:
     folder = certificates(tmp_path)
     chain = [(folder / name).read_text() for name in ("server.pem", "ca.pem")]

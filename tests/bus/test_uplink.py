@@ -190,16 +190,6 @@ async def test_a_refusal_and_another_version_are_named() -> None:
         assert words in logs[0]["why"]
 
 
-async def test_words_it_does_not_know_do_not_end_the_link() -> None:
-    async with FakeApp() as app, linked(app) as (outbox, _):
-        await app.until(app.snapshots)
-        assert app._connection is not None
-        await app._connection.send(b"\x81\xa2is\xa7unknown")
-        outbox.put([Reading(1, time.time(), 2, 3, 4, 5, 6)])
-        await app.until(app.readings)
-        assert len(app.snapshots()) == 1
-
-
 async def _logged(logs: list[MutableMapping[str, Any]]) -> None:
     for _ in range(1000):
         if logs:
@@ -283,11 +273,6 @@ async def test_the_certificate_of_the_dashboard(folder: Path, name: str, words: 
     assert bool(fault) == bool(words)
 
 
-async def test_without_a_named_authority_those_of_the_machine_count(folder: Path) -> None:
-    async with serving(server_context(folder)) as port:
-        assert "unknown authority" in await fault_of(UplinkTls(), port)
-
-
 @pytest.mark.parametrize(
     ("error", "words"),
     [
@@ -298,12 +283,6 @@ async def test_without_a_named_authority_those_of_the_machine_count(folder: Path
 def test_other_faults(error: Exception, words: str) -> None:
     assert UplinkTls().fault(error).startswith(words)
     assert bool(UplinkTls().fault(error)) == bool(words)
-
-
-def test_an_unknown_fault_of_verification_is_shown_as_openssl_has_it() -> None:
-    error = ssl.SSLCertVerificationError()
-    error.verify_code, error.verify_message = 77, "some reason"
-    assert UplinkTls().fault(error).endswith("cannot be verified: some reason")
 
 
 def test_the_files_are_read_again_once_they_have_changed(folder: Path) -> None:

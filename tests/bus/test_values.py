@@ -30,33 +30,11 @@ from tests.for_each import for_each
 octets = st.integers(0, 255)
 
 
-@pytest.mark.parametrize(
-    ("bit", "field"), [(0, "run"), (2, "preset"), (3, "reverse"), (4, "up"), (5, "down"), (6, "follower")]
-)
-def test_each_input_has_its_bit(bit: int, field: str) -> None:
-    assert getattr(status_bits(0, 1 << bit), field)
-    assert not getattr(status_bits(0, ~(1 << bit) & 0xFF), field)
-
-
 @pytest.mark.parametrize("number", range(1, 7))
 def test_each_output_has_its_bit(number: int) -> None:
     assert status_bits(1 << number - 1, 0).outputs == tuple(n == number for n in range(1, 7))
     assert output_is_on(1 << number - 1, number)
     assert not output_is_on(~(1 << number - 1) & 0xFF, number)
-
-
-def test_at_speed_and_remote() -> None:
-    assert status_bits(0x80, 0).at_speed
-    assert not status_bits(0x80, 0).remote
-    assert status_bits(0x40, 0).remote
-    assert not status_bits(0x40, 0).at_speed
-
-
-@pytest.mark.parametrize(
-    ("bit", "healthy", "active"), [(1, 1, False), (0, 1, True), (1, 0, True), (0, 0, False)]
-)
-def test_the_sense_of_the_emergency_stop_is_the_dialects(bit: int, healthy: int, active: bool) -> None:
-    assert status_bits(0, bit << 1, healthy).estop_active is active
 
 
 @given(octets, octets, st.sampled_from([0, 1]))
