@@ -26,8 +26,6 @@ PURE = (
 )
 TESTS = {
     "bus/catalogue/parameters.py": ("tests/bus/test_catalogue_parameters.py",),
-    "bus/wire/commands.py": ("tests/bus/test_commands.py",),
-    "bus/wire/exchange.py": ("tests/bus/test_exchange.py", "tests/bus/test_exchange_fence.py"),
     "app/records/notification/rules.py": ("tests/app/records/test_notification_rules.py",),
     "app/line/alarms/rules.py": ("tests/app/line/test_alarm_rules.py",),
     "app/line/alarms/performance.py": ("tests/app/line/test_alarm_journal.py",),

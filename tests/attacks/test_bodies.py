@@ -1,14 +1,22 @@
-"""Bodies that cost more than they weigh, and who may send one at all."""
+"""Requests that cost more than they weigh, could be read in two ways, or hold values that a store does not."""
 
 from __future__ import annotations
 
+import asyncio
 import json
+import re
 import time
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import quote
 
 import httpx
 import pytest
+from fastapi.dependencies.models import Dependant
+from fastapi.routing import APIRoute
 from starlette.types import Message, Scope
 
+from app.core.web import api as schema
 from app.core.web.access import Role
 from app.core.web.request_rules import (
     MAX_BODY_BYTES,
@@ -19,7 +27,9 @@ from app.core.web.request_rules import (
 )
 from app.engineering.sets.store import MAX_LINES, MAX_VALUES, DocumentError, read_document
 from tests.app.complete_app import House
+from tests.app.played_line import BUS
 from tests.for_each import for_each
+from tests.sizes import sizes
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
 RESTORES = "/api/v1/buses/dry-end/units/1/restores"
@@ -193,3 +203,111 @@ def test_a_file_of_more_values_than_a_bus_has_is_not_parsed(
     monkeypatch.setattr("tomllib.loads", lambda _: pytest.fail("parsed"))
     with pytest.raises(DocumentError, match="too long"):
         read_document(document)
+
+
+LIMITS = "/api/v1/buses/dry-end/units/1/limits"
+
+
+@for_each(
+    ("name", "values"),
+    [
+        ("Host", ("a", "b")),
+        ("Origin", ("http://app", "http://evil.example")),
+        ("Authorization", ("Bearer x", "Bearer y")),
+        ("Content-Type", ("application/json", "text/plain")),
+        ("Idempotency-Key", ("one", "two")),
+    ],
+)
+async def test_a_header_that_stands_twice(house: House, name: str, values: tuple[str, str]) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    request = engineer.build_request("PUT", LIMITS, json={})
+    kept = [(key, value) for key, value in request.headers.multi_items() if key != name.lower()]
+    request.headers = httpx.Headers([*kept, *((name, value) for value in values)])
+    response = await engineer.send(request)
+    assert response.status_code == 400
+    assert response.json()["code"] == "malformed"
+    assert name in response.json()["detail"]
+
+
+async def test_http_1_1_without_a_host(house: House) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    request = engineer.build_request("GET", "/healthz")
+    del request.headers["host"]
+    assert (await engineer.send(request)).status_code == 400
+
+
+@for_each(
+    ("name", "value", "status"),
+    [
+        ("Content-Encoding", "gzip", 415),
+        ("Content-Encoding", "identity", 200),
+        ("Transfer-Encoding", "gzip, chunked", 501),
+        ("Transfer-Encoding", "Chunked", 200),
+    ],
+)
+async def test_a_body_in_a_coding_that_is_not_decoded(
+    house: House, name: str, value: str, status: int
+) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    response = await engineer.put(LIMITS, json={}, headers={name: value})
+    assert response.status_code == status
+    if status != 200:
+        assert response.json()["code"] == "unsupported_type"
+
+
+VALUES = ("\0", "-1", "9" * 20, "1e400", "0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00")
+WITHOUT_END = "/api/v1/stream"
+
+
+def queried(dependant: Dependant) -> Iterator[str]:
+    """The names in the query of a route."""
+    yield from (parameter.alias for parameter in dependant.query_params)
+    for each in dependant.dependencies:
+        yield from queried(each)
+
+
+def addresses(house: House) -> Iterator[str]:
+    """Each name of each query, with each of the values."""
+    for route in house.app.routes:
+        if not isinstance(route, APIRoute) or "GET" not in route.methods or route.path == WITHOUT_END:
+            continue
+        path = re.sub(r"{\w+(:\w+)?}", "1", route.path.replace("{bus}", BUS))
+        for name in sorted(set(queried(route.dependant))):
+            yield from (f"{path}?{name}={quote(value)}" for value in VALUES)
+
+
+@pytest.mark.usefixtures("line")
+@pytest.mark.parametrize("every", sizes(5, 1))
+async def test_no_value_of_a_query_fails_a_request(house: House, every: int) -> None:
+    """Of so many addresses one: there are six values, so that each comes to every fifth name."""
+    client = await house.program(Role.ADMIN)
+    chosen = [*addresses(house)][::every]
+    tried = [(await client.get(address)).status_code for address in chosen]
+    assert len(tried) > 100 * len(VALUES) // every
+    assert {status for status in tried if status >= 500} == set()
+
+
+PATH = "/api/v1/openapi.json"
+
+
+async def test_it_is_made_once_for_all_who_request_it_and_who_has_it_gets_no_second_one(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, make = list[dict[str, Any]](), schema.openapi_document
+
+    def counted(app: Any) -> dict[str, Any]:
+        made.append(make(app))
+        return made[-1]
+
+    monkeypatch.setattr(schema, "openapi_document", counted)
+    client = await house.program(Role.VIEWER)
+    responses = await asyncio.gather(*(client.get(PATH) for _ in range(5)))
+    assert [response.json() == made[0] for response in responses] == [True] * 5
+    assert len(made) == 1
+    first = responses[0]
+    assert (first.status_code, first.headers["content-encoding"]) == (200, "gzip")
+    again = await client.get(PATH, headers={"if-none-match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    plain = await client.get(PATH, headers={"accept-encoding": "identity", "if-none-match": 'W/"other"'})
+    assert (plain.status_code, plain.json()) == (200, first.json())
+    assert "content-encoding" not in plain.headers

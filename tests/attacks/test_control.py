@@ -1,4 +1,4 @@
-"""Control that is granted by another, to another than was seen, too late, twice, or requested without end."""
+"""Control that is granted by another, too late or twice; requests and other acts without end."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import pytest
 
 import app.line.commands.safeguards as service_module
 from app.core.web.access import Role
+from app.errors import Problem
 from app.line.commands.control import REQUEST_LAPSES_AFTER_S
 from app.line.commands.safeguards import MAX_REQUESTS
-from bus.instants import monotonic_now
+from app.people.audit.acts import ACTS_PER_S, MAX_ACTS, ActLimit
+from bus.instants import Monotonic, monotonic_now
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, played_line
 from tests.attacks.withdrawals import withdraw
@@ -135,3 +137,48 @@ async def test_requests_without_end_disturb_six_times_and_keep_no_one_else_from_
     assert len([each for each in requested if "request" in each["what"]]) <= 2 * MAX_REQUESTS
     assert (await ben.post(f"{API}/request")).status_code == 200
     assert await holder(anna) == "anna"
+
+
+def performed(limit: ActLimit, account: str, now: Monotonic) -> bool:
+    try:
+        limit.count(account, now)
+    except Problem:
+        return False
+    return True
+
+
+def use_up(limit: ActLimit, account: str) -> None:
+    while performed(limit, account, monotonic_now()):
+        pass
+
+
+def test_the_acts_of_an_account_are_bounded_in_the_long_run() -> None:
+    limit = ActLimit()
+    done = sum(performed(limit, "anna", Monotonic(tick / 100)) for tick in range(10_000))
+    assert done == pytest.approx(MAX_ACTS + 100 * ACTS_PER_S, abs=2)
+    with pytest.raises(Problem) as refused:
+        limit.count("anna", Monotonic(100.0))
+    assert (refused.value.status, refused.value.headers["Retry-After"]) == (429, "1")
+    limit.count("ben", Monotonic(100.0))
+
+
+async def test_a_loop_of_acts_is_refused_and_everyone_else_goes_on(house: House) -> None:
+    program, ben = await house.program(Role.OPERATOR), await house.signed_in(Role.OPERATOR, "ben")
+    assert (await program.post(f"{API}/take")).status_code == 200
+    assert (await program.post(f"{API}/release")).status_code == 200
+    account = (await house.events("control"))[0]["who"] + " (token)"
+    use_up(house.services[ActLimit], account)
+    assert (await program.post(f"{API}/take")).status_code == 429
+    assert len(await house.events("control")) == 2
+    assert (await program.get(f"{API}")).status_code == 200
+    assert (await ben.post(f"{API}/take")).status_code == 200
+
+
+async def test_pages_acknowledgements_and_commands_are_not_refused(house: House) -> None:
+    engineer = await house.signed_in(Role.ENGINEER, "eva")
+    use_up(house.services[ActLimit], "eva")
+    assert (await engineer.get(f"/units/{BUS}/1")).status_code == 200
+    absent = await engineer.post("/api/v1/alarms/none.1/acknowledge", json={})
+    assert absent.status_code != 429, "an acknowledgement is bounded by the alarms, and nothing delays it"
+    speed = await engineer.post(f"/api/v1/buses/{BUS}/units/1/speed", json={"raw": 100})
+    assert speed.status_code != 429, "a command is bounded by the wire"

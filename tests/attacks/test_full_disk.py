@@ -1,4 +1,4 @@
-"""A disk that is filled to its last byte: commands, sign-in and acknowledging go on, and are recorded."""
+"""A disk that is filled to its last byte, or refuses the log: what people must do goes on, and is recorded."""
 
 from __future__ import annotations
 
@@ -7,15 +7,23 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from sqlite3 import Connection
 from typing import Any
 
 import httpx
 import pytest
+from structlog.testing import capture_logs
 
+from app.core.database import Database
 from app.core.database.files import SIZE, Reserve
 from app.core.web.access import Role
+from app.errors import StoreError
+from app.line.history.service import History
+from app.main import create_app
+from app.people.audit.log import EventLog
 from tests.app.complete_app import PASSWORD as HOUSE_PASSWORD
-from tests.app.complete_app import complete_app
+from tests.app.complete_app import complete_app, settings_in
+from tests.app.history_line import NOON, Shelf, polls
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.site import PASSWORD, eventually
 from tests.mounted import mounted
@@ -146,3 +154,27 @@ def _is_recorded(plant: Dashboard) -> None:
     commands = [event for event in events if event["kind"] == "command"]
     assert {event["outcome"] for event in commands} == {"verified"}
     assert [event["new_raw"] for event in commands if event["unit"] == 1][:1] == [0]
+
+
+def refuse_events(connection: Connection) -> None:
+    connection.execute(
+        "CREATE TRIGGER full BEFORE INSERT ON events BEGIN SELECT RAISE(ABORT, 'the disk is full'); END"
+    )
+
+
+async def test_every_store_is_closed_and_every_other_backlog_written(tmp_path: Path) -> None:
+    services = create_app(settings_in(tmp_path)).state.services
+    with capture_logs() as logs:
+        async with services.lifespan.running():
+            await services[EventLog].repeated.count("login_refused", "refused", who="ann")
+            await services[Database].write(refuse_events)
+            await services[EventLog].repeated.count("login_refused", "refused", who="ann")
+            services[History].append("dry-end", polls(NOON, NOON + 10))
+    with pytest.raises(StoreError, match="closed"):
+        await services[Database].read(lambda _: None)
+    shelf = Shelf(tmp_path / "data" / "history.db")
+    assert len(shelf.query("actual", NOON, NOON + 60).series.at) == 50
+    shelf.close()
+    failed = [entry for entry in logs if entry["event"] == "not ended"]
+    assert [entry["part"] for entry in failed] == ["repeated events", "event log"]
+    assert all("the disk is full" in entry["why"] for entry in failed)

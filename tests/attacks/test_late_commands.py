@@ -1,4 +1,4 @@
-"""Commands that reach the server late, or that are marked as late: none of them reaches a unit."""
+"""Commands that reach the server late, or again with the key of another: none of them reaches a unit."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from starlette.types import Receive, Scope, Send
 
 from app.core.server.connections import ARRIVED_AT, BEGUN_AT
 from app.core.web import arrival
-from app.core.web.access import Role
+from app.core.web.access import Person, Role
 from app.core.web.arrival import SAFE_METHODS
 from app.engineering.recipes.book import RecipeBook
+from app.errors import Problem
+from app.line.commands.service import CommandService
 from app.line.live.bus_live import LiveState
+from bus.contract import Result, WriteParameter
 from tests.app.complete_app import House, commands_app
 from tests.app.fake_worker import PlayedWorker, responding
 from tests.app.played_commands import ANNA
@@ -208,3 +211,34 @@ def _filled_in(path: str, recipe: int) -> str:
     for name, value in names.items():
         path = path.replace(f"{{{name}}}", f"{value}")
     return path
+
+
+PROGRAM = Person("anna", Role.ENGINEER, "token")
+
+
+def password(raw: int) -> WriteParameter:
+    return WriteParameter(unit=1, number=21, raw=raw)
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+async def test_another_password_with_the_same_key_is_not_verified(tmp_path: Path, restarts: bool) -> None:
+    """The value of #21 was left out of what was compared after a restart: it was *verified*, unwritten."""
+    async with commands_app(tmp_path) as site:
+        worker = await site.worker()
+        worker.play = responding("verified", read_back=1234)
+        assert (await _send(site.commands, 1234)).outcome == "verified"
+        commands = _restarted(site) if restarts else site.commands
+        with pytest.raises(Problem) as refused:
+            await _send(commands, 4321)
+        assert (refused.value.status, refused.value.code) == (422, "invalid")
+        again = await _send(commands, 1234)
+        assert (again.outcome, again.read_back) == ("verified", None)
+        assert [command.action for command in worker.commands] == [password(1234)]
+
+
+async def _send(commands: CommandService, raw: int) -> Result:
+    return await commands.send(PROGRAM, password(raw), id="mine")
+
+
+def _restarted(site: House) -> CommandService:
+    return site.commands_after_restart()
