@@ -1,4 +1,4 @@
-"""Requests that cost more than they weigh, could be read in two ways, or hold values that a store does not."""
+"""Requests that cost more than they weigh, can be read in two ways, or hold what a store does not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A disk that is filled to its last byte, or refuses the log: what people must do goes on, and is recorded."""
+"""A disk that is filled to its last byte, or refuses the log: what people must do goes on and is kept."""
 
 from __future__ import annotations
 

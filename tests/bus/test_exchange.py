@@ -1,4 +1,4 @@
-"""One exchange: which frame is the response, what every other one is, and what a late or a second one needs."""
+"""One exchange: which frame is the response, what every other is, and what a late or second one needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One exchange at a time: windows, deadlines, leftovers, floods, on a fake port and clock; who awaits its end."""
+"""One exchange at a time on a fake port and clock: windows, deadlines, leftovers, and who awaits its end."""
 
 from __future__ import annotations
 

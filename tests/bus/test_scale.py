@@ -7,7 +7,7 @@ the app does is done here with what the worker has reported: it converts by that
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
@@ -110,15 +110,20 @@ class Keypads:
         self._sent.clear()
 
 
-def play(scene: Callable[[VirtualLine, Keypads], object], units: int = UNITS) -> None:
+def play(scene: Callable[[VirtualLine], Awaitable[None]], units: int = UNITS) -> None:
     """Run a scene with keypads on a virtual clock, once all that is needed was read."""
     keypads = Keypads([KeypadUnit(address) for address in range(1, units + 1)])
 
     async def begin(line: VirtualLine) -> None:
         await line.until(lambda: all(known(line, unit, SCALE) for unit in line.units))
-        await cast("asyncio.Future[None]", scene(line, keypads))
+        await scene(line)
 
     run(begin, units, configured=units, line=cast("SimulatedLine", keypads))
+
+
+def drives(line: VirtualLine) -> list[KeypadUnit]:
+    """The units, by their place on the cable."""
+    return cast("Keypads", line.line).units
 
 
 at_keypads = partial(played, UNITS, play=play)
@@ -184,7 +189,6 @@ class Judge:
     """Enters what people type, and states what was *verified* beside another display."""
 
     line: VirtualLine
-    keypads: Keypads
     complaints: list[str] = field(default_factory=list)
     outcomes: list[str] = field(default_factory=list)
 
@@ -197,12 +201,12 @@ class Judge:
         except CallerError:
             self.outcomes.append("not converted")
         await asyncio.sleep(typed.wait_s)
-        for unit in self.keypads.units:
+        for unit in drives(self.line):
             unit.mute_on.clear()
             unit.deaf_to.clear()
 
     def _press(self, change: Change) -> None:
-        unit = self.keypads.units[change.unit - 1]
+        unit = drives(self.line)[change.unit - 1]
         if change.raw == 0 and change.number == MUTE:
             unit.mute_on.clear()
             unit.deaf_to.clear()
@@ -239,12 +243,12 @@ class Judge:
         self, action: Action, scales: dict[int, UnitScale] | None, texts: dict[int, str]
     ) -> Result:
         began = self.line.loop.time()
-        before = {unit.address: unit.commanded for unit in self.keypads.units}
+        before = {unit.address: unit.commanded for unit in drives(self.line)}
         result = await self.line.perform(action, typed_with=scales)
         self.outcomes.append(result.outcome)
         verified = {part.unit for part in result.units if part.outcome == "verified"}
         for number, text in texts.items():
-            unit = self.keypads.units[number - 1]
+            unit = drives(self.line)[number - 1]
             is_setpoint = not isinstance(action, WriteParameter)
             history = unit.shown if is_setpoint else unit.tolerances
             shows = [shown for at, shown in history if at >= began]
@@ -267,8 +271,8 @@ def test_verified_never_stands_beside_a_number_that_the_display_does_not_show(ex
     )
     @given(st.lists(TYPED, min_size=4, max_size=12))
     def enter_all(people: list[Typed]) -> None:
-        async def scene(line: VirtualLine, keypads: Keypads) -> None:
-            judge = Judge(line, keypads)
+        async def scene(line: VirtualLine) -> None:
+            judge = Judge(line)
             for typed in people:
                 await judge.enter(typed)
             seen.extend(judge.outcomes)
@@ -281,36 +285,32 @@ def test_verified_never_stands_beside_a_number_that_the_display_does_not_show(ex
     assert seen.count("refused") > examples / 5
 
 
-async def result_of(
-    line: VirtualLine, keypads: Keypads, text: str, *pressed: Change, execute: bool = True
-) -> Result:
+async def result_of(line: VirtualLine, text: str, *pressed: Change, execute: bool = True) -> Result:
     scale = known(line, 1, SCALE)
     for change in pressed:
-        keypads.units[change.unit - 1].values[change.number] = change.raw
+        drives(line)[change.unit - 1].values[change.number] = change.raw
     return await line.perform(SetSpeed(1, converted(text, scale), execute), typed_with={1: scale})
 
 
 @at_keypads()
-async def test_ten_times_what_was_typed_is_refused_with_old_and_new(
-    line: VirtualLine, keypads: Keypads
-) -> None:
+async def test_ten_times_what_was_typed_is_refused_with_old_and_new(line: VirtualLine) -> None:
     pressed = [Change(0, 1, DECIMALS, 0), Change(0, 1, MAX_DISPLAY, 2000)]
-    result = await result_of(line, keypads, "100.0", *pressed)
+    result = await result_of(line, "100.0", *pressed)
     assert (result.outcome, result.unit_error) == ("refused", None)
     assert "(parameter 2) was 20000 and is 2000 now" in str(result.message)
     assert "(parameter 3) was 1 and is 0 now" in str(result.message)
-    assert keypads.units[0].commanded == 500
-    assert keypads.units[0].writes == []
+    assert drives(line)[0].commanded == 500
+    assert drives(line)[0].writes == []
     # What was read is reported: the next one is converted with it, and executed as it is shown.
-    result = await result_of(line, keypads, "100")
-    assert (result.outcome, keypads.units[0].display(keypads.units[0].commanded)) == ("verified", "100")
+    result = await result_of(line, "100")
+    assert (result.outcome, drives(line)[0].display(drives(line)[0].commanded)) == ("verified", "100")
 
 
 @at_keypads()
 async def test_a_scale_that_changes_between_the_write_and_its_read_back_leaves_it_unverified(
-    line: VirtualLine, keypads: Keypads
+    line: VirtualLine,
 ) -> None:
-    unit = keypads.units[0]
+    unit = drives(line)[0]
     scale = known(line, 1, SCALE)
     command = line.command(SetSpeed(1, 1000), typed_with={1: scale})
     await line.until(lambda: unit.commanded == 1000)
@@ -323,16 +323,14 @@ async def test_a_scale_that_changes_between_the_write_and_its_read_back_leaves_i
 
 
 @at_keypads()
-async def test_a_group_stops_before_the_unit_whose_scale_is_another(
-    line: VirtualLine, keypads: Keypads
-) -> None:
+async def test_a_group_stops_before_the_unit_whose_scale_is_another(line: VirtualLine) -> None:
     scales = {unit: known(line, unit, SCALE) for unit in line.units}
-    keypads.units[2].values[DECIMALS] = 0
+    drives(line)[2].values[DECIMALS] = 0
     result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), typed_with=scales)
     assert result.outcome == "refused"
-    assert [unit.commanded for unit in keypads.units] == [500] * UNITS
-    assert not any(command == 0x83 for unit in keypads.units for command, _, _ in unit.writes)
-    assert [unit.staged for unit in keypads.units] == [None] * UNITS, "all scales before any stage"
+    assert [unit.commanded for unit in drives(line)] == [500] * UNITS
+    assert not any(command == 0x83 for unit in drives(line) for command, _, _ in unit.writes)
+    assert [unit.staged for unit in drives(line)] == [None] * UNITS, "all scales before any stage"
 
 
 @played(24, play=play)
@@ -346,10 +344,8 @@ async def test_a_typed_group_of_24_units_is_executed_within_the_two_seconds_of_a
 
 
 @at_keypads()
-async def test_what_was_given_raw_is_sent_before_any_scale_is_read(
-    line: VirtualLine, keypads: Keypads
-) -> None:
-    keypads.units[0].values[DECIMALS] = 0
+async def test_what_was_given_raw_is_sent_before_any_scale_is_read(line: VirtualLine) -> None:
+    drives(line)[0].values[DECIMALS] = 0
     result = await line.perform(SetSpeed(1, 900))
     assert (result.outcome, result.read_back) == ("verified", 900)
 
@@ -357,9 +353,9 @@ async def test_what_was_given_raw_is_sent_before_any_scale_is_read(
 @pytest.mark.parametrize("mode", [0, 1], ids=["master", "follower"])
 @at_keypads()
 async def test_the_scale_of_a_raw_speed_costs_one_read_unless_the_status_shows_another_mode(
-    line: VirtualLine, keypads: Keypads, mode: int
+    line: VirtualLine, mode: int
 ) -> None:
-    keypads.units[0].values |= {FOLLOWER_MODE: mode, DECIMALS: 2}
+    drives(line)[0].values |= {FOLLOWER_MODE: mode, DECIMALS: 2}
     deadline = EPOCH + line.loop.time() + 2.0
     line.worker.command(Command("raw", deadline, SetSpeed(1, 900), {1: {FOLLOWER_MODE: 0, DECIMALS: 1}}))
     await line.until(lambda: line.result_of("raw"))
@@ -372,35 +368,29 @@ async def test_the_scale_of_a_raw_speed_costs_one_read_unless_the_status_shows_a
 
 
 @at_keypads()
-async def test_a_speed_that_was_staged_in_another_scale_is_not_executed(
-    line: VirtualLine, keypads: Keypads
-) -> None:
-    assert (await result_of(line, keypads, "70.0", execute=False)).outcome == "acknowledged"
-    keypads.units[0].values[DECIMALS] = 0
+async def test_a_speed_that_was_staged_in_another_scale_is_not_executed(line: VirtualLine) -> None:
+    assert (await result_of(line, "70.0", execute=False)).outcome == "acknowledged"
+    drives(line)[0].values[DECIMALS] = 0
     for action in (ExecuteSpeed(1), ExecuteAll()):
         result = await line.perform(action)
-        assert (result.outcome, keypads.units[0].commanded) == ("refused", 500)
+        assert (result.outcome, drives(line)[0].commanded) == ("refused", 500)
 
 
 @at_keypads()
-async def test_the_analog_output_is_bounded_and_converted_as_the_unit_does_now(
-    line: VirtualLine, keypads: Keypads
-) -> None:
+async def test_the_analog_output_is_bounded_and_converted_as_the_unit_does_now(line: VirtualLine) -> None:
     numbers = (ANALOG_OUT_SOURCE, ANALOG_OUT_LOW, ANALOG_OUT_HIGH)
     await line.until(lambda: known(line, 1, numbers))
     scale = {1: known(line, 1, numbers)}
     assert (await line.perform(WriteAnalogOutput(1, 350), typed_with=scale)).outcome == "acknowledged"
-    keypads.units[0].values[ANALOG_OUT_HIGH] = 1000
+    drives(line)[0].values[ANALOG_OUT_HIGH] = 1000
     assert (await line.perform(WriteAnalogOutput(1, 360), typed_with=scale)).outcome == "refused"
-    assert keypads.units[0].analog_out == 350
+    assert drives(line)[0].analog_out == 350
 
 
 @at_keypads()
-async def test_one_parameter_changed_at_the_keypad_has_the_scale_read_again_soon(
-    line: VirtualLine, keypads: Keypads
-) -> None:
+async def test_one_parameter_changed_at_the_keypad_has_the_scale_read_again_soon(line: VirtualLine) -> None:
     await asyncio.sleep(10.0)
-    keypads.units[1].values |= {6: 77, DECIMALS: 3}
+    drives(line)[1].values |= {6: 77, DECIMALS: 3}
     await line.until(lambda: known(line, 2, (6,)) == {6: 77}, within_s=300.0)
     found_at = line.loop.time()
     await line.until(lambda: known(line, 2, (DECIMALS,)) == {DECIMALS: 3}, within_s=300.0)
@@ -409,29 +399,27 @@ async def test_one_parameter_changed_at_the_keypad_has_the_scale_read_again_soon
 
 @at_keypads()
 async def test_what_a_unit_holds_staged_is_not_known_after_it_was_away_and_is_not_executed(
-    line: VirtualLine, keypads: Keypads
+    line: VirtualLine,
 ) -> None:
     assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "acknowledged"
-    keypads.units[0].off = True
+    drives(line)[0].off = True
     await line.until(lambda: line.worker.line.roster[1].link.link == "offline")
-    keypads.units[0].off, keypads.units[0].staged = False, 300
+    drives(line)[0].off, drives(line)[0].staged = False, 300
     await line.until(lambda: line.worker.line.roster[1].link.link == "online")
     reported = [update for update in line.updates if isinstance(update, Staged)]
     assert reported[-1] == Staged(1, reported[-1].at, None, unknown=True)
     assert reported[-1].at > EPOCH
     for action in (ExecuteSpeed(1), ExecuteAll()):
         result = await line.perform(action)
-        assert (result.outcome, keypads.units[0].commanded) == ("refused", 500)
+        assert (result.outcome, drives(line)[0].commanded) == ("refused", 500)
     result = await line.perform(SetLine({2: 600, 3: 600}))
-    assert (result.outcome, keypads.units[0].commanded) == ("verified", 500)
+    assert (result.outcome, drives(line)[0].commanded) == ("verified", 500)
     assert not line.worker.line.roster[1].staged_unknown, "its present speed was staged instead"
 
 
 @at_keypads()
-async def test_what_an_earlier_worker_staged_is_not_known_and_moves_with_no_other(
-    line: VirtualLine, keypads: Keypads
-) -> None:
-    first, roster = keypads.units[0], line.worker.line.roster
+async def test_what_an_earlier_worker_staged_is_not_known_and_moves_with_no_other(line: VirtualLine) -> None:
+    first, roster = drives(line)[0], line.worker.line.roster
     first.staged = 300
     line.worker.note_held([1, 99])
     assert line.worker.snapshot(0).units[0].staged_unknown
@@ -446,10 +434,10 @@ async def test_what_an_earlier_worker_staged_is_not_known_and_moves_with_no_othe
 
 @at_keypads()
 async def test_what_82h_left_in_a_unit_without_a_response_is_not_known_and_moves_with_no_other(
-    line: VirtualLine, keypads: Keypads
+    line: VirtualLine,
 ) -> None:
     """Never broadcast while a stage is unacknowledged (protocol, 5)."""
-    first = keypads.units[0]
+    first = drives(line)[0]
     assert (await line.perform(SetSpeed(1, 600, execute=False))).outcome == "acknowledged"
     first.mute_on.add(0x82)
     assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "unverified"
@@ -464,9 +452,9 @@ async def test_what_82h_left_in_a_unit_without_a_response_is_not_known_and_moves
 
 @at_keypads()
 async def test_a_unit_that_is_away_does_not_keep_the_others_from_a_change_after_one_with_it_has_failed(
-    line: VirtualLine, keypads: Keypads
+    line: VirtualLine,
 ) -> None:
-    keypads.units[0].off = True
+    drives(line)[0].off = True
     await line.until(lambda: line.worker.line.roster[1].link.link == "offline")
     assert (await line.perform(SetLine({1: 800, 2: 800}))).outcome == "unverified"
     assert (await line.perform(SetLine({2: 800, 3: 800}))).outcome == "verified"
@@ -475,19 +463,19 @@ async def test_a_unit_that_is_away_does_not_keep_the_others_from_a_change_after_
 @pytest.mark.parametrize("action", [SetSpeed(1, 700), ExecuteSpeed(1)])
 @at_keypads()
 async def test_a_unit_that_shows_the_speed_holds_none_staged_although_its_response_was_lost(
-    line: VirtualLine, keypads: Keypads, action: SetSpeed | ExecuteSpeed
+    line: VirtualLine, action: SetSpeed | ExecuteSpeed
 ) -> None:
     assert (await line.perform(SetSpeed(1, 700, execute=False))).outcome == "acknowledged"
-    keypads.units[0].mute_on |= {0x83, 0x84}
+    drives(line)[0].mute_on |= {0x83, 0x84}
     assert (await line.perform(action)).outcome == "verified"
     assert line.worker.line.roster[1].staged is None
 
 
 @at_keypads()
 async def test_a_unit_that_missed_the_broadcast_and_has_another_scale_now_is_not_executed_by_itself(
-    line: VirtualLine, keypads: Keypads
+    line: VirtualLine,
 ) -> None:
-    first = keypads.units[0]
+    first = drives(line)[0]
     respond = first.respond
 
     def misses_the_broadcast(body: bytes) -> bytes | None:

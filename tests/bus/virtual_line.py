@@ -317,14 +317,13 @@ def played(
 
     def decorate(scene: Callable[..., Awaitable[None]]) -> Callable[..., None]:
         signature = inspect.signature(scene)
-        given = [each for name, each in signature.parameters.items() if name not in ("line", "keypads")]
-        played_with = len(signature.parameters) - len(given)
 
         @wraps(scene)
         def test(**fixtures: Any) -> None:
-            play(lambda *line: scene(*line[:played_with], **fixtures), units, **settings)
+            play(lambda line: scene(line, **fixtures), units, **settings)
 
-        test.__signature__ = signature.replace(parameters=given)  # type: ignore[attr-defined]
+        fixtures = list(signature.parameters.values())[1:]
+        test.__signature__ = signature.replace(parameters=fixtures)  # type: ignore[attr-defined]
         return test
 
     return decorate
