@@ -23,7 +23,6 @@ from app.people.audit.entry import (
     BEGINNING,
     END_ALTERED,
     OTHER_KEY,
-    SEALED_FROM_HERE,
     entry_hash,
     sealed_head,
 )
@@ -209,24 +208,6 @@ def test_a_new_key_vouches_for_the_log_from_then_on_only(plant: Plant) -> None:
         assert connection.execute("SELECT what FROM events WHERE id = 10").fetchone() == (str(OTHER_KEY),)
     plant.attack("UPDATE events SET what = 'nothing happened' WHERE id = 4")
     assert plant.broken_at().startswith("4: ")
-
-
-def test_a_store_from_before_the_key_is_sealed_as_it_is(tmp_path: Path) -> None:
-    plant = Plant(tmp_path)
-    plant.work()
-    plant.rebuild(lambda rows: rows, key="")
-    plant.key.unlink()
-    plant.anchor.unlink()
-    assert plant.verify(*WITHOUT_ANCHOR)[0] == 0, "nothing has been sealed yet"
-    plant.work(1)
-    code, printed = plant.verify()
-    assert (code, "entries 1 to 9 are older than the key" in printed) == (0, True)
-    with closing(sqlite3.connect(plant.store)) as connection:
-        assert connection.execute("SELECT what FROM events WHERE id = 10").fetchone() == (
-            str(SEALED_FROM_HERE),
-        )
-    plant.rebuild(changed)
-    assert plant.broken_at().startswith("9: ")
 
 
 def test_after_a_rotation_the_older_key_forges_nothing(plant: Plant) -> None:

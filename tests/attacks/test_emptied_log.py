@@ -113,23 +113,6 @@ def test_a_kill_between_the_log_and_its_anchors_raises_no_alarm(plant: QuietPlan
     assert plant.anchor.read_bytes() != anchor
 
 
-def test_a_kill_while_the_anchor_is_replaced_leaves_the_one_before(
-    plant: QuietPlant, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before = plant.anchor.read_bytes()
-
-    def fail(*_: object) -> None:
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr(Path, "replace", fail)
-    assert plant.serve(2) == AnchorStatus(), "it is not configured: an event, and no alarm"
-    monkeypatch.undo()
-    assert plant.anchor.read_bytes() == before
-    assert [path.name for path in plant.key.parent.glob(".lineside*")] == []
-    assert plant.events("audit anchor not written") == ["Input/output error"]
-    assert plant.verify()[0] == 0
-
-
 def test_a_lost_key_begins_the_anchor_again_and_keeps_the_old_one(plant: QuietPlant) -> None:
     plant.key.unlink()
     assert plant.serve() == AnchorStatus()

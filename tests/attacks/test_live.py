@@ -15,7 +15,7 @@ from starlette.websockets import WebSocketDisconnect
 from app.core.web.access import Role
 from app.line.live import hub
 from app.line.live.browser import Browser
-from app.line.live.hub import MAX_WATCH_BURST, Broadcast, Hub
+from app.line.live.hub import Broadcast, Hub
 from app.line.live.requests import MAX_PAGES_OF_ACCOUNT, Admission
 from app.main import create_app
 from app.people.auth.accounts import Accounts
@@ -130,22 +130,6 @@ def test_one_page_too_many_is_refused_and_the_others_stay(
         assert hub_of(client).connected == 1
     with client.websocket_connect("/live", headers=ORIGIN) as page:
         page.receive_text()
-
-
-def test_pages_that_turn_without_end_do_not_flood_the_workers(
-    client: TestClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    hub, watch_calls = hub_of(client), list[Any]()
-    watchers = {"dry-end": lambda *watched: watch_calls.append(("dry-end", *watched))}
-    monkeypatch.setattr(hub, "watchers", watchers)
-    monkeypatch.setattr(hub, "_monotonic", lambda: 100.0)
-    browser = Browser("anna", "viewer", "en")
-    for turn in range(1000):
-        hub.follow(browser, (f"dry-end/{turn % 2 + 1}",), "")
-    assert len(watch_calls) <= MAX_WATCH_BURST
-    monkeypatch.setattr(hub, "_monotonic", lambda: 101.0)
-    hub.tick()
-    assert watch_calls[-1] == ("dry-end", [2], False)
 
 
 def test_a_page_cannot_make_the_server_remember_what_there_is_not(client: TestClient) -> None:

@@ -133,28 +133,14 @@ def test_a_token_without_its_key_is_refused(keys: list[Any]) -> None:
 @for_each(
     "wrong",
     [
-        {"iss": f"{ISSUER}/"},
-        {"iss": None},
-        {"aud": "other"},
-        {"aud": ["other"]},
-        {"aud": [CLIENT, "other"]},
-        {"aud": {CLIENT: True}},
-        {"aud": None},
+        *({"iss": iss} for iss in (f"{ISSUER}/", None)),
+        *({"aud": aud} for aud in ("other", ["other"], [CLIENT, "other"], {CLIENT: True}, None)),
         {"azp": "other"},
-        {"exp": NOW - 60},
-        {"exp": None},
-        {"exp": True},
-        {"exp": "2099"},
-        {"iat": NOW + 61},
-        {"iat": None},
+        *({"exp": exp} for exp in (NOW - 60, None, True, "2099")),
+        *({"iat": iat} for iat in (NOW + 61, None)),
         {"nbf": NOW + 61},
-        {"nonce": "of another"},
-        {"nonce": None},
-        {"nonce": 7},
-        {"sub": None},
-        {"sub": ""},
-        {"sub": 7},
-        {"sub": "x" * 256},
+        *({"nonce": nonce} for nonce in ("of another", None, 7)),
+        *({"sub": sub} for sub in (None, "", 7, "x" * 256)),
     ],
 )
 def test_a_token_for_another_case_is_refused(wrong: dict[str, Any]) -> None:
@@ -187,16 +173,6 @@ async def test_a_way_back_is_of_its_browser_and_taken_once(house: House, provide
         planted = house.client(cookie=f"{ATTEMPT_COOKIE}={cookie}")
         assert reason_of(await planted.get(CALLBACK, params={"code": "x", "state": ""})) == "expired"
     assert provider.requests["token"] == 1
-
-
-async def test_a_code_is_redeemed_once(house: House, provider: PlayedProvider) -> None:
-    provider.claims = {"groups": []}
-    client = house.client()
-    back = provider.login(await sent(client))
-    assert reason_of(await client.get(CALLBACK, params=back)) == "groups"
-    assert reason_of(await client.get(CALLBACK, params=back)) == "expired"
-    again = {**provider.login(await sent(client)), "code": back["code"]}
-    assert reason_of(await client.get(CALLBACK, params=again)) == "provider"
 
 
 async def test_the_response_of_another_issuer(house: House, provider: PlayedProvider) -> None:

@@ -97,14 +97,6 @@ def test_what_others_could_have_planted_as_code_is_thrown_away(data: Path) -> No
     assert not (data / "compiled").exists()
 
 
-def test_code_that_only_we_could_write_is_kept(data: Path) -> None:
-    for path in (data, *data.rglob("*")):
-        path.chmod(0o755)
-    make_private(data)
-    assert (data / "compiled" / "__jinja2_x.cache").exists()
-    assert loose(data.parent) == []
-
-
 def test_links_lead_to_nothing_of_others(data: Path, tmp_path: Path) -> None:
     elsewhere, folder = tmp_path / "elsewhere", tmp_path / "folder"
     elsewhere.write_text("keep")

@@ -15,7 +15,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from app.core.server import gate
 from app.core.server.connections import client_connection
-from app.core.server.gate import CLOSING_S, MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
+from app.core.server.gate import MAX_HELD_BYTES, MAX_MESSAGE_BYTES, Gate
 from tests.app.gated import PATIENCE_S, Port, everything, gated, until
 from tests.attacks import attackers
 from tests.attacks.attackers import frame
@@ -170,14 +170,6 @@ async def test_what_follows_the_close_of_the_server_ends_the_connection(site: Si
     await until(lambda: not site.served.gates.open)
 
 
-async def test_fragments_count_together(site: Site) -> None:
-    reader = await site.connect()
-    half = b"x" * (MAX_MESSAGE_BYTES // 2 + 1)
-    site.writers[0].write(frame(TEXT, half) + frame(FIN | CONT, half))
-    assert await everything(reader) == b""
-    assert site.messages == []
-
-
 async def test_a_client_that_sends_and_does_not_read_is_read_no_more(site: Site) -> None:
     await site.connect()
     await site.accepted.wait()
@@ -188,20 +180,6 @@ async def test_a_client_that_sends_and_does_not_read_is_read_no_more(site: Site)
     for _ in range(100):
         await asyncio.sleep(0)
     assert site.gate.transport.get_write_buffer_size() <= written
-
-
-async def test_who_does_not_read_the_end_of_a_connection_is_not_waited_for(site: Site) -> None:
-    await site.connect()
-    await site.accepted.wait()
-    now = asyncio.get_running_loop().time()
-    site.gate.transport.write(b"x" * 10_000_000)
-    site.gate.transport.close()
-    for later in (0, CLOSING_S):
-        site.gate.check(now + later)
-        await asyncio.sleep(0)
-        assert site.served.gates.open
-    site.gate.check(now + CLOSING_S + 1)
-    await until(lambda: not site.served.gates.open)
 
 
 async def test_a_worker_is_not_counted_as_a_stranger(site: Site) -> None:

@@ -245,17 +245,6 @@ async def test_a_secret_that_comes_late_is_kept_without_its_bytes(
     assert kept(wires).endswith(encode_reply(STATUS, PLAIN)), "bytes that are no response are kept"
 
 
-@pytest.mark.parametrize("polled_unit", [1, 2])
-async def test_a_secret_that_comes_twice_is_kept_without_its_bytes(wires: Wires, polled_unit: int) -> None:
-    wires.send(ReadParameterRequest(1, 21))
-    wires.respond(SECRET)
-    wires.receive(encode_reply(SECRET, PLAIN))
-    wires.send(ReadStatusRequest(polled_unit))
-    wires.respond(SECRET)
-    wires.respond(replace(STATUS, unit=polled_unit))
-    assert SECRET_BYTES not in kept(wires)
-
-
 async def test_a_piece_of_a_secret_is_kept_without_its_bytes(wires: Wires) -> None:
     """The port is lost in the middle of it, or its checksum is."""
     wires.send(ReadParameterRequest(1, 21))
@@ -383,28 +372,6 @@ async def test_a_response_with_which_more_came_is_not_ordinary() -> None:
     assert not ended.is_ordinary
     line.link.account()
     assert line.roster[1].statistics.counts.foreign == 1
-
-
-async def test_a_response_after_noise_is_not_ordinary() -> None:
-    line = _paced()
-    line.send(ReadStatusRequest(1))
-    line.pass_time(20 * BYTE_S)
-    line.link.data_received(b"\x10\x02\x07\x06\x10\x03\x00")
-    line.pass_time(18 * BYTE_S)
-    line.link.data_received(encode_reply(STATUS, PLAIN))
-    ended = line.exchanges[-1].result
-    assert ended.exchange.reply == STATUS
-    assert not ended.is_ordinary
-
-
-async def test_neither_a_leftover_nor_a_timeout_is_ordinary() -> None:
-    line = _paced()
-    line.send(ReadStatusRequest(1))
-    line.gathered = encode_reply(STATUS, PLAIN)
-    line.pass_time(1.0)
-    ended = line.exchanges[-1].result
-    assert ended.exchange.reply is None
-    assert not ended.is_ordinary
 
 
 async def test_a_port_that_takes_nothing_is_lost() -> None:

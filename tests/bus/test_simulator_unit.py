@@ -197,12 +197,6 @@ def test_an_old_firmware_ends_at_twenty() -> None:
     assert exchange(unit, WriteParameterRequest(1, 21, 0)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
 
 
-def test_a_unit_that_counts_in_bcd_returns_eleven_for_11h() -> None:
-    unit = Unit(Memory({11: 77}), Traits(Dialect(parameter_numbers="bcd")))
-    assert exchange(unit, ReadParameterRequest(1, 0x11)) == ParameterReply(1, 77, 4)
-    assert exchange(unit, ReadParameterRequest(1, 0x1A)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
-
-
 @pytest.mark.parametrize("source", [0, 1, 3])
 def test_the_analog_output_needs_the_link_as_its_source(source: int) -> None:
     unit = Unit()
@@ -259,23 +253,6 @@ def test_the_status_bits_are_where_the_manual_puts_them(
     assert reply.inputs == sum(on << bit for bit, on in enumerate(contacts))
     assert reply.outputs & 0x3F == sum(on << bit for bit, on in enumerate(outputs))
     assert reply.outputs & 0x40
-
-
-@pytest.mark.parametrize(
-    ("contacts", "commanded"),
-    [
-        (Inputs(), 500),
-        (Inputs(preset=True), 200),
-        (Inputs(up=True), 505),
-        (Inputs(down=True), 495),
-        (Inputs(preset=True, up=True), 200),
-    ],
-)
-def test_contacts_at_the_terminals_change_the_commanded_speed(contacts: Inputs, commanded: int) -> None:
-    unit = Unit(inputs=contacts)
-    exchange(unit, SetAndExecuteSpeedRequest(1, 500))
-    assert status(unit).commanded == commanded
-    assert unit.setpoint == 500
 
 
 def responses(line: DemoLine) -> bytes:
@@ -343,9 +320,9 @@ def test_a_line_without_unrest_measures_the_same_as_long_as_nothing_is_changed(u
 
 
 def test_the_demo_line_is_mostly_well_and_not_always() -> None:
-    """Of the moments of ten minutes nearly all are without a stopped section, yet each habit is seen."""
+    """Of the moments of four minutes nearly all are without a stopped section, yet each habit is seen."""
     line = demo_line()
-    steps = round(600 / STEP_S)
+    steps = round(240 / STEP_S)
     stopped, seen = 0, set()
     for _ in range(steps):
         line.plant.step()
@@ -455,8 +432,3 @@ def test_everything_shown_fits_its_bytes() -> None:
             machine.step(DT, 0.0, None)
             assert 0 <= machine.unit.measured.actual <= 99999
             assert 0 <= machine.unit.measured.analog <= 255
-
-
-def test_odd_parameters_do_not_break_the_machine() -> None:
-    machine = section(FOLLOWER_MODE=2, RATIO_SETPOINT=0, MAX_RPM=0, MAX_DISPLAY=0)
-    assert turn(machine, 1, master_rpm=100) == 0

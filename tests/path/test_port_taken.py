@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -96,22 +96,3 @@ def test_a_port_that_is_claimed_while_it_is_open_and_when_the_worker_starts(plan
         closed(plant, f"(process {other.pid})")
         refused_meanwhile(plant)
     nothing_is_sent_and_it_comes_back(plant)
-
-
-def test_another_device_behind_the_same_name(plant: Dashboard) -> None:
-    before = str(plant.cable.path.resolve())
-    plant.cable.pull()
-    closed(plant, "")
-    refused_meanwhile(plant)
-    with ExitStack() as taken:
-        eventually(lambda: _take_a_number(taken) == before, f"{before} free, to be taken")
-        plant.cable.plug()
-        assert str(plant.cable.path.resolve()) != before
-        nothing_is_sent_and_it_comes_back(plant)
-
-
-def _take_a_number(until: ExitStack) -> str:
-    """Another terminal, so that the next one is not called as the last was; gives its name."""
-    for end_of_it in (ends := os.openpty()):
-        until.callback(os.close, end_of_it)
-    return os.ttyname(ends[1])
