@@ -4,7 +4,6 @@ before or after it goes on as one chain: whatever is changed, removed, moved or 
 
 from __future__ import annotations
 
-import asyncio
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -15,8 +14,7 @@ import pytest
 
 from app.core.database import Database
 from app.people.audit.entry import KeyOrigin, KeyRing, sealed_entry, sealed_head
-from app.people.audit.keys import make_key_file, open_keys, owners_of, read_key_file
-from app.people.audit.log import EventLog
+from app.people.audit.keys import make_key_file, owners_of, read_key_file
 from tests.app.former_log import DRY, SITE, WET, FormerLog
 from tests.attacks.test_audit_log import WITHOUT_ANCHOR, Plant
 
@@ -122,15 +120,6 @@ def test_the_end_of_one_chain_is_put_back(plant: FormerPlant) -> None:
     assert "entry 7 is missing" in plant.found()
 
 
-def test_the_ends_of_two_chains_are_exchanged(tmp_path: Path) -> None:
-    plant = FormerPlant(tmp_path)
-    dry, wet = plant.rows("SELECT * FROM events_head WHERE chain <> '' ORDER BY chain")
-    plant.put("events_head", dry | {"chain": WET}, wet | {"chain": DRY})
-    assert "is not the one that was noted as the newest" in plant.found()
-    plant.work(1)
-    assert plant.found().startswith("10: ")
-
-
 def test_a_chain_is_cut_off_before_the_log_goes_on(tmp_path: Path) -> None:
     """The server seals the ends that were noted, and an entry that is missing stays missing."""
     plant = FormerPlant(tmp_path)
@@ -162,22 +151,6 @@ def test_with_the_key_no_former_chain_is_rewritten_once_the_log_went_on(tmp_path
     plant.work(3)
     plant.reseal(WET, nothing, plant.ring())
     assert plant.found().startswith("10: entry 10 does not continue the one before it")
-
-
-def test_an_older_key_rewrites_no_former_chain(tmp_path: Path) -> None:
-    plant = FormerPlant(tmp_path)
-    older = plant.ring()
-
-    async def rotate() -> None:
-        with closing(Database(plant.store)) as database:
-            log = EventLog(database, keys=open_keys([plant.key], plant.store, {}))
-            log.keys.rotate()
-            await log.record(kind="audit", what="rotated")
-
-    asyncio.run(rotate())
-    assert plant.verify()[0] == 0
-    plant.reseal(WET, nothing, older)
-    assert plant.found().startswith("10: ")
 
 
 def test_a_seal_of_an_end_is_of_its_chain_alone() -> None:

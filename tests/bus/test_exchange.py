@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.errors import CallerError
 from bus.settings import Dialect
 from bus.wire.commands import (
     Ack,
@@ -60,20 +59,6 @@ def kinds(events: list[ExchangeEvent]) -> list[type]:
 
 def test_the_request_is_sent() -> None:
     assert Exchange(StageSpeedRequest(4, 528), PLAIN).sent == encode_request(StageSpeedRequest(4, 528), PLAIN)
-
-
-@pytest.mark.parametrize(
-    "bad",
-    [
-        StageSpeedRequest(4, 100_000),
-        ReadStatusRequest(0),
-        ReadStatusRequest(256),
-        ReadParameterRequest(1, 0),
-    ],
-)
-def test_a_bad_request_makes_no_exchange(bad: Request) -> None:
-    with pytest.raises(CallerError):
-        Exchange(bad, PLAIN)
 
 
 def test_the_exchange_of_a_password_is_secret() -> None:

@@ -63,11 +63,6 @@ def test_the_pause_doubles_up_to_its_longest() -> None:
     assert [backoff.ended(0.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
 
 
-def test_a_useful_connection_is_retried_soon() -> None:
-    backoff = ReconnectDelay(middle)
-    assert [backoff.ended(1.0, useful=True) for _ in range(4)] == [0.5] * 4
-
-
 def test_what_lasted_has_worked() -> None:
     backoff = ReconnectDelay(middle)
     for _ in range(9):
@@ -231,12 +226,6 @@ def test_an_app_that_accepts_and_closes_is_left_in_peace_too(lasts_s: float) -> 
     lines = play_uplink(uplink, DAY_S)
     assert len(uplink.accepted) < DAY_S / MAX_PAUSE_S * 1.7
     assert len(lines) < 40
-
-
-def test_an_app_that_ran_well_is_looked_for_at_once() -> None:
-    uplink = Flapping(lambda: ConnectionError("closed"), 3600.0)
-    play_uplink(uplink, 7300.0)
-    assert uplink.accepted[1] - uplink.accepted[0] < 3600.2
 
 
 def test_a_refusal_is_retried_without_backoff() -> None:

@@ -8,8 +8,6 @@ from functools import cache
 
 from bus.contract import FoundUnit, ParameterValue, Progress, Reading, Result, ScanBus, UnitLink
 from bus.simulator.line import FaultKind
-from bus.simulator.plant import Section
-from bus.simulator.unit import Memory, Unit
 from tests.bus.virtual_line import VirtualLine, run
 
 CONFIGURED, PRESENT = 3, 5
@@ -104,18 +102,6 @@ def test_a_device_that_is_no_digimax_is_reported_as_foreign() -> None:
     found = kinds(run(scene, PRESENT, configured=CONFIGURED))
     assert (found[1], found[4]) == ("digimax", "foreign")
     assert found.get(5, "garbled") == "garbled"
-
-
-def test_two_units_at_one_address_are_recognised_every_time() -> None:
-    """Their responses overlap: often not even the beginning of a frame arrives."""
-
-    async def scene(line: VirtualLine) -> list[str]:
-        line.plant.sections.append(Section(Unit(Memory({17: 3}))))
-        await asyncio.sleep(2.0)
-        looks = [await line.perform(ScanBus(3, 3), within_s=600.0) for _ in range(8)]
-        return [kinds(look).get(3, "silent") for look in looks]
-
-    assert run(scene, 3, configured=3) == ["garbled"] * 8
 
 
 def test_a_port_lost_meanwhile_ends_it() -> None:

@@ -167,29 +167,6 @@ def test_a_host_at_another_rate_is_not_received_until_the_unit_has_changed_too()
 # --- faults on the line ---------------------------------------------------------------------------
 
 
-def test_a_nak_out_of_nowhere_means_that_nothing_was_done() -> None:
-    there = host()
-    there.line.faults.set(FaultKind.NAK, 1.0, unit=1)
-    [body] = there.exchange(SetAndExecuteSpeedRequest(1, 500))
-    assert body[:2] == bytes((1, 0x15))
-    assert there.line.plant.unit(1).commanded != 500
-
-
-def test_a_write_with_a_lost_response_was_carried_out() -> None:
-    there = host()
-    there.line.faults.set(FaultKind.LOST, 1.0)
-    assert there.exchange(SetAndExecuteSpeedRequest(1, 500)) == []
-    assert there.line.plant.unit(1).commanded == 500
-
-
-def test_an_echoing_adapter_returns_the_request_before_the_response() -> None:
-    there = host()
-    there.line.faults.set(FaultKind.ECHO, 1.0)
-    echo, response = there.exchange(ReadStatusRequest(2))
-    assert echo == bytes((2, 0x81))
-    assert response[:2] == bytes((2, 6))
-
-
 def test_a_late_response_comes_before_any_later_response_of_that_unit() -> None:
     there = host()
     there.line.faults.set(FaultKind.LATE, 1.0, unit=1)
@@ -338,14 +315,3 @@ def test_a_rate_is_a_rate_and_belongs_to_its_unit(kind: FaultKind) -> None:
     faults.set(kind, 0.05, unit=7)
     assert sum(faults.strikes(kind, 7) for _ in range(4000)) == pytest.approx(200, abs=60)
     assert not any(faults.strikes(kind, 8) for _ in range(1000))
-
-
-def test_a_fault_of_the_line_affects_every_unit_until_cleared() -> None:
-    faults = Faults()
-    faults.set(FaultKind.LOST, 1.0)
-    assert faults.strikes(FaultKind.LOST, 3)
-    faults.set(FaultKind.LOST, 0.0)
-    assert not faults.strikes(FaultKind.LOST, 3)
-    faults.set(FaultKind.LATE, 1.0, unit=3)
-    faults.clear()
-    assert not faults.strikes(FaultKind.LATE, 3)

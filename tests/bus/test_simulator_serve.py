@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import time
@@ -72,15 +71,6 @@ def line(request: pytest.FixtureRequest) -> Iterator[LineServer]:
         yield server
 
 
-def test_a_host_reads_and_writes_and_may_come_back(line: LineServer) -> None:
-    for raw in (500, 600):
-        with opened(line.port.name) as host:
-            assert exchange(host, SetAndExecuteSpeedRequest(1, raw)) == Ack(1)
-            reply = exchange(host, ReadStatusRequest(1))
-            assert isinstance(reply, StatusReply)
-            assert reply.commanded == raw
-
-
 def test_every_byte_value_passes_the_port_unchanged(line: LineServer) -> None:
     """No echo, no line discipline: 0Ah, 0Dh, 03h, 11h, 13h and 1Ah are data like any other."""
     with opened(line.port.name) as host:
@@ -91,18 +81,6 @@ def test_every_byte_value_passes_the_port_unchanged(line: LineServer) -> None:
             assert reply.commanded == raw
         written = line.call(lambda line: [entry.data for entry in line.record.since(0, WireEventKind.CAME)])
         assert b"".join(written) == encode_request(ReadStatusRequest(1), PLAIN) * 5
-
-
-def test_a_pulled_cable_is_felt_and_comes_back(line: LineServer) -> None:
-    host = opened(line.port.name)
-    assert exchange(host, ReadStatusRequest(1))
-    line.unplug()
-    with pytest.raises((serial.SerialException, OSError)):
-        use_until_it_fails(host)
-    line.plug()
-    hang_up(host)
-    with opened(line.port.name) as again:
-        assert exchange(again, ReadStatusRequest(1))
 
 
 def test_a_pulled_adapter_comes_back_as_another_device_behind_the_same_link(tmp_path: Path) -> None:
@@ -127,14 +105,6 @@ def test_a_host_at_the_wrong_rate_receives_nothing() -> None:
         assert exchange(host, ReadStatusRequest(1), patience_s=0.3) is None
         host.baudrate = 9600
         assert exchange(host, ReadStatusRequest(1))
-
-
-def test_a_host_that_sets_no_rate_is_received() -> None:
-    with served(PtyPort()) as line:
-        host = os.open(line.port.name, os.O_RDWR | os.O_NOCTTY)
-        os.write(host, encode_request(ReadStatusRequest(1), PLAIN))
-        assert os.read(host, 1) == b"\x10"
-        os.close(host)
 
 
 def test_a_tcp_port_serves_one_host_at_a_time() -> None:

@@ -318,10 +318,3 @@ def test_it_goes_to_each_address_in_turn() -> None:
         seen.append(addresses.feed)
         addresses.leave()
     assert seen == ["ws://a:8000/feed", "wss://b:8000/feed", "ws://a:8000/feed"]
-
-
-def test_one_address_stays() -> None:
-    addresses = AppAddresses([A, A])
-    assert not addresses.are_several
-    addresses.leave()
-    assert addresses.feed == "ws://a:8000/feed"
