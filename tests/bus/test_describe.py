@@ -16,6 +16,8 @@ from bus.wire.commands import (
     Nak,
     ParameterReply,
     ReadParameterRequest,
+    ReadStatusRequest,
+    StatusReply,
     WriteParameterRequest,
     encode_reply,
     encode_request,
@@ -140,3 +142,9 @@ def test_anything_can_be_described(data: bytes) -> None:
     described = describe_bytes(data)
     assert sum(len(item.wire) for item in described) <= len(data)
     json.dumps([item.as_json() for item in described if isinstance(item, Described)])
+
+
+def test_a_status_is_the_same_with_its_request_before_it() -> None:
+    status = encode_reply(StatusReply(1, 500, 490, 7, 0x40, 0x03), PLAIN)
+    request = encode_request(ReadStatusRequest(1), PLAIN)
+    assert describe_bytes(request + status)[1] == only(status)

@@ -12,7 +12,7 @@ from tests.campaign.network import Network, call, unusable
 from tests.campaign.run import Campaign
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(scope="module")
 def namespaces() -> None:
     if reason := unusable():
         pytest.skip(reason)
@@ -26,6 +26,8 @@ def test_a_seed_gives_one_schedule() -> None:
     assert len({(fault.kind, fault.target) for fault in faults}) == 9
 
 
+@pytest.mark.soak
+@pytest.mark.usefixtures("namespaces")
 def test_machines_reach_each_other_until_they_are_cut_or_separated() -> None:
     reach = "import socket; socket.create_connection(('{}', 7), 0.3)"
     with Network(("one", "other")) as network:
@@ -47,6 +49,7 @@ def test_machines_reach_each_other_until_they_are_cut_or_separated() -> None:
 
 
 @pytest.mark.soak
+@pytest.mark.usefixtures("namespaces")
 def test_one_server_keeps_what_it_acknowledged(tmp_path: Path) -> None:
     unpacked.program("ser2net")
     assert Campaign(tmp_path, seed=1).run(20) == 0
