@@ -320,9 +320,9 @@ def test_a_line_without_unrest_measures_the_same_as_long_as_nothing_is_changed(u
 
 
 def test_the_demo_line_is_mostly_well_and_not_always() -> None:
-    """Of the moments of four minutes nearly all are without a stopped section, yet each habit is seen."""
+    """Of the moments of ten minutes nearly all are without a stopped section, yet each habit is seen."""
     line = demo_line()
-    steps = round(240 / STEP_S)
+    steps = round(600 / STEP_S)
     stopped, seen = 0, set()
     for _ in range(steps):
         line.plant.step()
