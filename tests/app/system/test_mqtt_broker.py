@@ -6,6 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from app.core.web.shape import iso
 from app.line.history.series.runs import SECOND
 from app.line.history.service import History
 from app.settings import ConfigurationError, load
+from app.system.mqtt import session
 from app.system.mqtt.session import Nodes, NodeSession, identifier_for
 from bus.contract import BusLink, Reading
 from bus.instants import UnixTime, unix_now
@@ -28,7 +30,8 @@ from tests.app.fake_worker import PlayedWorker, reading, until
 from tests.app.sparkplug import Host
 from tests.app.system.test_mqtt_node import command
 
-UNITS = "".join(f'[[bus.unit]]\nid = {n}\nname = "Unit {n}"\n' for n in (1, 2, 16))
+ADDRESSES = (1, 2, 16)
+UNITS = "".join(f'[[bus.unit]]\nid = {n}\nname = "Unit {n}"\n' for n in ADDRESSES)
 
 
 def configuration(folder: Path, url: str, more: str = "", name: str = "Mill 7", bus: bool = True) -> Path:
@@ -47,20 +50,6 @@ async def site(folder: Path, broker: Broker | Relay, more: str = "") -> AsyncIte
     config = configuration(folder, f"mqtt://127.0.0.1:{broker.port}", more)
     async with complete_app(folder, config=config) as house:
         yield house
-
-
-@asynccontextmanager
-async def responding(worker: PlayedWorker) -> AsyncIterator[None]:
-    """Let the first unit respond all the time."""
-
-    async def respond() -> None:
-        while True:
-            await worker.update(reading(1, actual=3000))
-            await asyncio.sleep(0.2)
-
-    task = asyncio.create_task(respond())
-    yield
-    task.cancel()
 
 
 def as_received(sent: Reading) -> tuple[int, float]:
@@ -93,39 +82,67 @@ async def test_a_line_is_born_followed_and_leaves_its_death(tmp_path: Path) -> N
     assert host.faults == []
 
 
-async def test_what_a_broker_missed_comes_later_once_and_in_order(tmp_path: Path) -> None:
-    host = Host("dry-end", "Mill 7")
-    async with (
-        running(tmp_path) as broker,
-        listening(broker, host) as host_listens,
-        # The node is kept out until the host listens again, which would miss its birth otherwise.
-        (relay := Relay(broker, is_cut=lambda _: not host_listens.is_set())).running(),
-        site(tmp_path / "site", relay) as house,
-    ):
-        worker = await house.worker()
-        await until(lambda: len(host.values) == 3, "every unit is born")
-        node = node_of(house)
-        await until(lambda: node.backlog is not None and node.backlog.received > 0, "it was confirmed")
-        broker.kill()
-        relay.cut()
-        await until(lambda: node.status.fault is not None and not host_listens.is_set(), "the broker is away")
-        missed = [reading(1, actual=2000 + step) for step in range(40)]
-        for each in missed:
-            await worker.update(each)
+async def feed(worker: PlayedWorker, sent: list[Reading], rounds: int) -> None:
+    """Let every unit respond some times, each with another speed than before."""
+    for _ in range(rounds):
+        for unit in ADDRESSES:
+            sent.append(reading(unit, actual=1001 + len(sent)))
+            await worker.update(sent[-1])
             await asyncio.sleep(0.01)
-        await until(lambda: house.services[History].status.waiting == 0, "stored")
-        assert node.lag_s() > 0
-        await broker.start()
 
-        def past() -> list[tuple[int, object]]:
-            return [(at, value) for at, value, old in host.readings["Unit 1", "Speed/Actual"] if old]
 
-        expected = [as_received(each) for each in missed]
-        # Only what is sent of a unit that responds is of a device that is born.
-        async with responding(worker):
-            await until(lambda: len(past()) >= len(expected), "what was missed is sent")
-        assert [each for each in past() if each in expected] == expected
-        assert past() == sorted(past())
+def received(host: Host, unit: int) -> list[tuple[int, object]]:
+    """Return the speeds of a unit that a host was given, by their time."""
+    return sorted((at, value) for at, value, _ in host.readings[f"Unit {unit}", "Speed/Actual"])
+
+
+def has(host: Host, device: str, speed: float) -> bool:
+    return bool(host.values[device]["Speed/Actual"] == speed)
+
+
+def has_received(host: Host, unit: int, readings: int) -> bool:
+    return len(received(host, unit)) >= readings
+
+
+def was_born(host: Host, times: int) -> bool:
+    return host.births >= times
+
+
+async def test_each_reading_comes_once_and_in_order_over_losses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "RETRY_S", (0.2,))
+    host = Host("dry-end", "Mill 7")
+    async with running(tmp_path) as broker, listening(broker, host):
+        relay = Relay(broker)
+        async with relay.running(), site(tmp_path / "site", relay) as house:
+            worker = await house.worker()
+            await until(lambda: len(host.values) == 3, "every unit is born")
+            first = {unit: received(host, unit) for unit in ADDRESSES}
+            sent: list[Reading] = []
+            for births in range(2, 4):
+                await feed(worker, sent, 10)
+                # What is on its way in the moment of the loss may come twice: nothing is.
+                await until(partial(has, host, "Unit 16", (sent[-1].actual or 0) / 10), "received")
+                await asyncio.sleep(0.2)
+                relay.cut()
+                await until(lambda: node_of(house).status.fault is not None, "the connection is lost")
+                await feed(worker, sent, 10)
+                assert house.live.units[1].reading in sent[-4:], "the line is followed meanwhile"
+                await until(lambda: house.services[History].status.waiting == 0, "stored")
+                assert node_of(house).lag_s() > 0
+                await until(partial(was_born, host, births), "it is born again")
+            await feed(worker, sent, 10)
+            expected = {unit: [as_received(each) for each in sent if each.unit == unit] for unit in ADDRESSES}
+            for unit in ADDRESSES:
+                total = len(expected[unit]) + len(first[unit])
+                await until(partial(has_received, host, unit, total), "all is received")
+            await asyncio.sleep(1.2)
+    for unit in ADDRESSES:
+        assert received(host, unit) == first[unit] + expected[unit]
+        for is_old in (True, False):
+            times = [at for at, _, old in host.readings[f"Unit {unit}", "Speed/Actual"] if old is is_old]
+            assert times == sorted(times)
     assert host.faults == []
 
 
@@ -195,13 +212,14 @@ async def test_nothing_is_commanded_by_mqtt_but_rebirth(tmp_path: Path) -> None:
             for topic in ("NCMD/dry-end", "DCMD/dry-end/Unit 1"):
                 for name in ("Speed/Commanded", "Outputs/Output 1", "Node Control/Reboot"):
                     await other.publish(f"spBv1.0/Mill 7/{topic}", command(name), qos=1)
-            await other.publish("spBv1.0/Mill 7/NCMD/dry-end", b"\xff" * 100, qos=1)
+            for payload in (b"\xff" * 100, bytes(200_000)):
+                await other.publish("spBv1.0/Mill 7/NCMD/dry-end", payload, qos=1)
             await other.publish("spBv1.0/Mill 7/NCMD/dry-end", command("Node Control/Rebirth"), qos=1)
             await until(lambda: host.births == 2, "it is born again")
-        assert node_of(house).node.refused == 7
+        assert node_of(house).node.refused == 8
         assert worker.commands == [], "no command reached the worker"
         metrics = (await house.http("viewer").get("/metrics")).text
-        assert 'lineside_mqtt_refused_total{bus="dry-end"} 7.0' in metrics
+        assert 'lineside_mqtt_refused_total{bus="dry-end"} 8.0' in metrics
         page = (await house.http("admin").get("/system")).text
         assert "MQTT node dry-end" in page
     assert host.faults == []
@@ -218,7 +236,8 @@ async def test_it_waits_for_its_primary_host(tmp_path: Path) -> None:
         async with site(tmp_path / "site", broker, 'primary_host = "scada"') as house:
             node = node_of(house)
             await until(lambda: node.status.waits, "it waits")
-            await primary.publish(topic, b"online", qos=1, retain=True)
+            for payload in (b"online", b"", b"\xff", b"[]", b'{"online": true, "timestamp": "now"}'):
+                await primary.publish(topic, payload, qos=1, retain=True)
             await primary.publish(topic, state(False, 5), qos=1, retain=True)
             await primary.publish(topic, state(True, 6), qos=1, retain=True)
             await until(lambda: host.is_alive, "the node is born")

@@ -45,6 +45,7 @@ async def genuine(tmp_path: Path) -> bytes:
 
 
 async def test_documents_have_what_other_programs_are_told_to_read(tmp_path: Path) -> None:
+    """Telegraf by its configuration, and Node-RED by a function."""
     document = await genuine(tmp_path)
     (consumer,) = tomllib.loads(block("[[inputs.mqtt_consumer]]"))["inputs"]["mqtt_consumer"]
     (wanted,) = consumer["json_v2"][0]["object"]
@@ -52,15 +53,11 @@ async def test_documents_have_what_other_programs_are_told_to_read(tmp_path: Pat
     for key in (*wanted["tags"], *wanted["included_keys"]):
         assert isinstance(line[key], str | int | float), key
     assert consumer["topics"] == [f"{LINES}/+/+"]
-
-
-async def test_the_function_of_node_red_runs(tmp_path: Path) -> None:
     node = shutil.which("node")
     if node is None:
         pytest.skip("Node.js is not here")
-    document = (await genuine(tmp_path)).decode()
     code = f"const f = new Function('msg', {json.dumps(block('const line'))});"
-    words = [node, "-e", f"{code} console.log(JSON.stringify(f({{ payload: {document} }})));"]
+    words = [node, "-e", f"{code} console.log(JSON.stringify(f({{ payload: {document.decode()} }})));"]
     shown = await asyncio.to_thread(subprocess.run, words, check=True, capture_output=True, text=True)
     payload = json.loads(shown.stdout)["payload"]
     assert payload["line"] == "Mill 7 dry-end"

@@ -114,6 +114,7 @@ def test_names_that_differ_in_case_only_get_their_number() -> None:
     names = [(1, "Nip"), (2, "NIP"), (3, "Nip 2")]
     assert unique_names(names) == {1: "Nip (1)", 2: "NIP (2)", 3: "Nip 2"}
     assert identifier_of("Paper + coat/2 #") == "Paper - coat-2 -"
+    assert identifier_of("Mill / 7 +# north") == "Mill - 7 -- north"
     assert [device.name for device in Line().node.devices.values()] == [
         "Unwind",
         "Nip - 1 (2)",
