@@ -112,7 +112,7 @@ class CommandKind(Generic[A]):
     """Whether the command can only make units slower, or stop them, as they were last read."""
 
 
-SET_SPEED = CommandKind(
+SET_SPEED: CommandKind[SetSpeed] = CommandKind(
     SetSpeed,
     Role.OPERATOR,
     wording=lambda action, bus: setpoint_wording(
@@ -121,7 +121,7 @@ SET_SPEED = CommandKind(
     setpoints=lambda action, _: [NewSetpoint(action.unit, action.raw, is_staged=not action.execute)],
     only_slows=lambda action, bus: action.execute and slows_all({action.unit: action.raw}, bus),
 )
-EXECUTE_SPEED = CommandKind(
+EXECUTE_SPEED: CommandKind[ExecuteSpeed] = CommandKind(
     ExecuteSpeed,
     Role.OPERATOR,
     wording=lambda action, bus: setpoint_wording(
@@ -131,7 +131,7 @@ EXECUTE_SPEED = CommandKind(
         each for each in new_setpoints(staged_setpoints(bus)) if each.unit == action.unit
     ],
 )
-EXECUTE_ALL = CommandKind(
+EXECUTE_ALL: CommandKind[ExecuteAll] = CommandKind(
     ExecuteAll,
     Role.OPERATOR,
     wording=lambda _, bus: line_wording(Message("event_execute_all"), bus, staged_setpoints(bus)),
@@ -141,7 +141,7 @@ EXECUTE_ALL = CommandKind(
     units_written=lambda _, bus: list(staged_setpoints(bus)),
     setpoints=lambda _, bus: new_setpoints(staged_setpoints(bus)),
 )
-SET_LINE = CommandKind(
+SET_LINE: CommandKind[SetLine] = CommandKind(
     SetLine,
     Role.OPERATOR,
     wording=lambda action, bus: line_wording(
@@ -157,13 +157,13 @@ SET_LINE = CommandKind(
     only_slows=lambda action, bus: slows_all({**staged_setpoints(bus), **action.setpoints}, bus),
     timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints), typed=True),
 )
-WRITE_OUTPUT = CommandKind(
+WRITE_OUTPUT: CommandKind[WriteOutput] = CommandKind(
     WriteOutput,
     Role.OPERATOR,
     wording=output_wording,
     check=check_output,
 )
-WRITE_ANALOG_OUTPUT = CommandKind(
+WRITE_ANALOG_OUTPUT: CommandKind[WriteAnalogOutput] = CommandKind(
     WriteAnalogOutput,
     Role.ENGINEER,
     wording=lambda action, _: Wording(
@@ -171,7 +171,7 @@ WRITE_ANALOG_OUTPUT = CommandKind(
     ),
     check=check_analog_output,
 )
-WRITE_PARAMETER = CommandKind(
+WRITE_PARAMETER: CommandKind[WriteParameter] = CommandKind(
     WriteParameter,
     Role.ENGINEER,
     wording=parameter_wording,
@@ -182,7 +182,7 @@ WRITE_PARAMETER = CommandKind(
     is_secret=lambda action: PARAMETERS[action.number].secret,
 )
 BAUD_DANGER = "every unit changes its baud rate; a unit that does not follow cannot be reached"
-CHANGE_BAUD = CommandKind(
+CHANGE_BAUD: CommandKind[ChangeBaud] = CommandKind(
     ChangeBaud,
     Role.ENGINEER,
     wording=lambda action, bus: Wording(Message("event_change_baud"), str(bus.baud), str(action.baud)),
@@ -191,7 +191,7 @@ CHANGE_BAUD = CommandKind(
     danger=lambda _: BAUD_DANGER,
     writes_parameters=True,
 )
-READ_PARAMETERS = CommandKind(
+READ_PARAMETERS: CommandKind[ReadParameters] = CommandKind(
     ReadParameters,
     Role.VIEWER,
     wording=lambda action, _: Wording(
@@ -199,7 +199,7 @@ READ_PARAMETERS = CommandKind(
     ),
     timeout_s=lambda action, _: READ_S if action.urgent else READ_IN_GAPS_S,
 )
-SCAN_BUS = CommandKind(
+SCAN_BUS: CommandKind[ScanBus] = CommandKind(
     ScanBus,
     Role.ENGINEER,
     wording=lambda action, _: Wording(Message.of("event_scan", first=action.first, last=action.last)),
@@ -207,7 +207,7 @@ SCAN_BUS = CommandKind(
     # A read of one address, which a swap sends every few seconds, is no event.
     is_event=lambda action: action.last > action.first,
 )
-READ_TRACE = CommandKind(
+READ_TRACE: CommandKind[ReadTrace] = CommandKind(
     ReadTrace,
     Role.ENGINEER,
     wording=lambda _, _bus: Wording(Message("event_read_trace")),
