@@ -30,6 +30,7 @@ from app.engineering.sets.restore_service import RestoreStore
 from app.errors import StoreError
 from app.line.commands import record
 from bus.messages import Message
+from tests.app.complete_app import complete_app
 
 FIRST = "CREATE TABLE a (x INTEGER);\nINSERT INTO a VALUES (1);\n"
 SECOND = "ALTER TABLE a ADD COLUMN y INTEGER NOT NULL DEFAULT 7;\n"
@@ -94,6 +95,14 @@ def test_every_migration_has_a_different_number() -> None:
     numbers = [step.number for step in migrations_in(MIGRATIONS)]
     assert numbers[:2] == [1, 2]
     assert len(set(numbers)) == len(numbers)
+
+
+async def test_a_new_store_is_one_event_without_its_steps(tmp_path: Path) -> None:
+    for _ in range(2):
+        async with complete_app(tmp_path) as house:
+            events = await house.events("server")
+    made = [event for event in events if event["messages"]["what"].code.startswith("event_store")]
+    assert [event["what"] for event in made] == ["store created"]
 
 
 async def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:

@@ -125,15 +125,12 @@ def test_files_that_version_02_encrypted_by_openssl_are_read() -> None:
     assert decrypt(base64.b64decode(OF_VERSION_02), KEY.encode()) == b"[secret]"
 
 
-@pytest.mark.parametrize("path", ["etc/lineside.toml", "/etc/../../lineside.toml", "", "/etc/\0"])
-def test_a_forged_path_leads_nowhere(tmp_path: Path, path: str) -> None:
-    content = msgspec.json.encode([SiteFile(path, b"forged")])
-    with pytest.raises(StoreError, match="damaged"):
-        place_files(IN_CLEAR, content, None, tmp_path / "back")
-    assert not (tmp_path / "back").exists()
-
-
-def test_damaged_files_are_refused(tmp_path: Path) -> None:
+def test_forged_paths_and_damaged_files_are_refused(tmp_path: Path) -> None:
+    for path in ("etc/lineside.toml", "/etc/../../lineside.toml", "", "/etc/\0"):
+        content = msgspec.json.encode([SiteFile(path, b"forged")])
+        with pytest.raises(StoreError, match="damaged"):
+            place_files(IN_CLEAR, content, None, tmp_path / "back")
+        assert not (tmp_path / "back").exists()
     with pytest.raises(StoreError, match="damaged"):
         place_files(IN_CLEAR, b"[{}]", None, tmp_path / "back")
     with pytest.raises(StoreError, match="--key-file"):

@@ -126,24 +126,16 @@ async def test_a_file_changed_meanwhile_is_not_overwritten(admin: httpx.AsyncCli
     assert "1 Unwind</textarea>" in page.text
 
 
-@for_each(
-    ("port", "words"),
-    [
+async def test_a_port_that_is_not_scanned(admin: httpx.AsyncClient) -> None:
+    for port, words in (
         ("/dev/null", "is the port of a bus already"),
         ("http://10.0.0.1", "socket://"),
         ("COM3", "/dev/"),
         ("/dev/no-such-port", "The scan found no unit: /dev/no-such-port does not exist"),
-    ],
-)
-async def test_a_port_that_is_not_scanned(admin: httpx.AsyncClient, port: str, words: str) -> None:
-    await admin.post(f"{NEXT}/scan", data={"act": "scan", "port": port})
-    await scan_ended(admin)
-    assert words in unescape((await admin.get(NEXT)).text)
-
-
-async def test_the_reason_of_a_scan_is_in_the_language_of_the_page(admin: httpx.AsyncClient) -> None:
-    await admin.post(f"{NEXT}/scan", data={"act": "scan", "port": "/dev/no-such-port"})
-    await scan_ended(admin)
+    ):
+        await admin.post(f"{NEXT}/scan", data={"act": "scan", "port": port})
+        await scan_ended(admin)
+        assert words in unescape((await admin.get(NEXT)).text)
     page = unescape((await admin.get(NEXT, headers={"Accept-Language": "de"})).text)
     assert "/dev/no-such-port gibt es nicht" in page
 
@@ -174,17 +166,7 @@ async def test_a_server_without_a_bus_leads_there(tmp_path: Path) -> None:
     async with complete_app(tmp_path, config=config) as house:
         admin, operator = await house.signed_in(Role.ADMIN), await house.signed_in(Role.OPERATOR)
         assert f'href="{FIRST}"' in (await admin.get("/")).text
-        pages = (
-            "/wallboard",
-            "/alarms",
-            "/events",
-            "/trends",
-            "/setpoints",
-            "/sets",
-            "/recipes",
-            "/lines",
-            "/help",
-        )
+        pages = ("/wallboard", "/alarms", "/events", "/trends", "/setpoints", "/sets", "/recipes", "/lines")
         failed = {page: status for page in pages if (status := (await admin.get(page)).status_code) >= 400}
         assert failed == {}
         page = (await operator.get("/")).text

@@ -31,7 +31,6 @@ def test_lines_have_their_numbers_and_some_around_them() -> None:
         '[store]\nurl = "postgresql://lineside:s3cret@db/lineside"\n',
         '[store]\nurl = "postgresql://db/lineside?password=s3cret"\n',
         '[[notify.webhook]]\nurl = "https://hooks.example/s3cret"  # of Ann\n',
-        'notify = { webhook = [{ url = "https://hooks.example/s3cret" }] }\n',
         "# url = 'https://hooks.example/s3cret'\n",
         '# password = "s3cret"\n',
         'url = """\\\n  https://hooks.example/\\\n  s3cret"""\n',

@@ -54,17 +54,11 @@ def test_a_new_key_is_the_last_of_its_table() -> None:
 def test_a_new_key_of_an_inner_table_goes_where_the_others_are() -> None:
     added = with_values(TEXT, UNWIND, {"labels.output.2": "Fan", "labels.unit": "m/min"})
     assert 'output.1 = "Brake"\noutput.2 = "Fan"\nunit = "m/min"\n\n# Of the nip.' in added
-
-
-def test_a_key_of_an_inner_table_that_is_not_there() -> None:
     assert 'name = "Nip"\nlabels.unit = "m/min"\n# group' in with_values(TEXT, NIP, {"labels.unit": "m/min"})
 
 
-def test_a_key_is_removed_with_its_line() -> None:
+def test_a_key_is_removed_with_its_line_if_it_is_there() -> None:
     assert with_values(TEXT, UNWIND, {"labels.output.1": None}) == TEXT.replace('output.1 = "Brake"\n', "")
-
-
-def test_a_key_that_is_absent_is_not_removed() -> None:
     assert with_values(TEXT, NIP, {"group": None}) == TEXT
 
 
@@ -105,9 +99,6 @@ def test_units_change_places_with_their_comments() -> None:
     assert sorted(moved.splitlines()) == sorted(TEXT.splitlines())
     assert '# Of the nip.\n[[bus.unit]]\nid = 2\nname = "Nip"\n# group = "Calender"\n\n# Of the unw' in moved
     assert moved_up(moved, NIP) == TEXT
-
-
-def test_the_first_unit_does_not_move_up() -> None:
     with pytest.raises(WrittenOtherwiseError):
         moved_up(TEXT, UNWIND)
 

@@ -109,12 +109,10 @@ def report(**line: Any) -> bytes:
     ("serve", "code"),
     [
         (with_body(b"<html>"), "peer_sends_other"),
-        (with_body(b"[" * 100_000), "peer_sends_other"),
         (with_body(b'{"lines": []}'), "peer_sends_other"),
         (with_body(json.dumps(EMPTY | {"version": "9.0", "lines": [{}]}).encode()), "peer_of_other_version"),
         (with_body(report(bus="../users")), "peer_of_other_version"),
         (with_body(report(speeds=[0.0] * 61)), "peer_of_other_version"),
-        (with_body(report(level="dreadful")), "peer_of_other_version"),
         (with_body(report(event={"at": "9999-12-31T23:59:59", "text": {}})), "peer_of_other_version"),
         (with_body(b"", "401 Unauthorized"), "peer_token_refused"),
         (with_body(b"", "403 Forbidden"), "peer_token_role"),
@@ -320,7 +318,6 @@ def test_a_certificate_that_is_not_trusted_is_named(tmp_path: Path) -> None:
         ("https://mill2:8443/lines", "without a path"),
         ("https://user:secret@mill2", "password"),
         ("ftp://mill2", "http"),
-        ("https://mill2/?own=true", "without a path"),
     ],
 )
 def test_the_url_of_a_peer_is_that_of_a_server(tmp_path: Path, url: str, words: str) -> None:
