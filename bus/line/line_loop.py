@@ -11,14 +11,15 @@ request leaves first, and the results are settled and reported while the next re
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 from typing import NamedTuple
 
 import msgspec
 
 from bus.catalogue.parameters import SETPOINTS
-from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Update
+from bus.contract import BusFigures, BusLink, BusLinkState, ParameterValue, Progress, Update
 from bus.errors import CallerError, WireError
-from bus.instants import Monotonic
+from bus.instants import Monotonic, UnixTime
 from bus.line.arbiter import Arbiter, NextRequest
 from bus.line.commands.procedure import (
     CommandRun,
@@ -53,6 +54,9 @@ from bus.wire.exchange import Exchange
 
 CLOSED_TO_OFFLINE_S = 3.0
 NOT_OPENED = Message("port_not_opened")
+WAIT_S = 0.1
+"""The seconds for which a step of a command, or a parameter, waits for the next response: nobody sees a step
+that is shorter, and each report takes the app half as much as a reading."""
 MAX_PORT_REMARKS = 5
 """The number of newest remarks about the port that are kept."""
 
@@ -157,7 +161,7 @@ class LineLoop:
             self._arbiter.follow(self.clock.now())
         if run is not None and run.attempts is not None and run.attempts.reports(turn.request):
             self.apply(run.id, ReportProgress("sent", turn.request.unit))
-        self._report()
+        self._report(until_s=self._exchange_s(turn.request))
         following = self._arbiter.foresee(turn, self.clock.now()) if self.link.is_paced else None
         self._foreseen = self._prepare(following) if following is not None else None
 
@@ -220,14 +224,23 @@ class LineLoop:
         if not self._resting.is_set:
             self._resting.set(None)
 
-    def _report(self) -> None:
-        """Report every event since the last report, and the result of every command that has one."""
+    def _report(self, until_s: float = inf) -> None:
+        """Report every event since the last report, and the result of every command that has one.
+        ``until_s``: the seconds until the response under way, with which steps and parameters may go."""
         at = self.clock.epoch(self.clock.now())
         for run in self.commands.take_finished():
             self._events.append(run.report(at, self.dialect))
-        if self._events:
+        if self._events and not self._may_wait(at + until_s):
             events, self._events = self._events, []
             self._send_report(events)
+
+    def _may_wait(self, until: UnixTime) -> bool:
+        """Return whether every event is a step of a command or a parameter, and may be reported as late as
+        ``until``."""
+        return all(
+            isinstance(event, Progress | ParameterValue) and until - event.at <= WAIT_S
+            for event in self._events
+        )
 
     def _exchange_s(self, request: Request) -> float:
         return wire_seconds(7 + usual_reply_bytes(request, self.bus), self.baud)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+from collections.abc import Iterable
 
 import pytest
 
@@ -13,6 +14,7 @@ from bus.contract import (
     Action,
     BusLink,
     ChangeBaud,
+    Progress,
     Reading,
     ReadParameters,
     Result,
@@ -62,6 +64,32 @@ async def test_cold_start_to_the_first_reading_of_all_and_to_all_that_shows_them
     needed = {(unit, number) for unit in line.units for number in NEEDED_TO_SHOW}
     await line.until(lambda: {(value.unit, value.number) for value in line.parameters()} >= needed)
     assert line.loop.time() < 3.0
+
+
+@played(2, configured=3)
+async def test_steps_of_a_command_are_reported_with_its_result_unless_it_takes_long(
+    line: VirtualLine,
+) -> None:
+    """Each report wakes the app. A unit that does not respond is seen to be asked."""
+    await line.until(lambda: line.readings(1) and line.readings(2))
+    await asyncio.sleep(1.5)
+    put, reports = line.worker.outbox.put, list[list[Update]]()
+
+    def note(updates: Iterable[Update]) -> None:
+        reports.append([*updates])
+        put(updates)
+
+    line.worker.outbox.put = note  # type: ignore[method-assign]
+
+    async def steps(unit: int) -> list[bool]:
+        """Send a command; of each report with a step of it, whether it has the result too."""
+        reports.clear()
+        await line.perform(SetSpeed(unit, 777))
+        own = [report for report in reports if any(isinstance(each, Progress) for each in report)]
+        return [any(isinstance(each, Result) for each in report) for report in own]
+
+    assert (await steps(1))[-1]
+    assert (await steps(3)).count(False) >= 2
 
 
 @played(8)
