@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from playwright.sync_api import Page, expect
+from typing import Any
+
+from playwright.sync_api import Page, ViewportSize, expect
+
+PANEL: ViewportSize = {"width": 1280, "height": 800}
+PHONE: ViewportSize = {"width": 360, "height": 740}
 
 LIVE = "body[data-link=live]"
 FITTED = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
@@ -14,6 +19,34 @@ def opened(page: Page, path: str) -> Page:
     page.goto(path)
     expect(page.locator(LIVE)).to_be_attached()
     return page
+
+
+SIDES = ("left", "top", "right", "bottom")
+COUNT_SHIFTS = """async ([part, sides]) => {
+  await document.fonts.ready;
+  await new Promise((painted) => requestAnimationFrame(() => requestAnimationFrame(painted)));
+  const moved = (before, now) => sides.some((side) => Math.abs(before[side] - now[side]) >= 1);
+  window.shifted = [];
+  new PerformanceObserver((list) => {
+    for (const entry of list.getEntries())
+      for (const { node, previousRect, currentRect } of entry.sources)
+        if (moved(previousRect, currentRect) && (!part || document.querySelector(part).contains(node))) {
+          const what = (node?.outerHTML ?? node?.textContent ?? "a removed node").slice(0, 200);
+          window.shifted.push([what, previousRect.toJSON(), currentRect.toJSON()]);
+        }
+  }).observe({ type: "layout-shift" });
+}"""
+
+
+def count_shifts(page: Page, part: str = "", sides: tuple[str, ...] = SIDES) -> None:
+    """Note what the browser sees moving, in a part of the page or all of it, from the next painted frame on,
+    after a press too. ``sides`` left and top alone: a text that grows has not moved."""
+    page.evaluate(COUNT_SHIFTS, [part, sides])
+
+
+def shifts(page: Page) -> Any:
+    """What has moved since, and forget it."""
+    return page.evaluate("() => window.shifted.splice(0)")
 
 
 PAGES = {

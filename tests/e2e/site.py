@@ -50,6 +50,16 @@ AT_REST = ("--no-script", "--no-unrest", "--turnaround-ms", "50")
 """Units to which nothing happens but what the test does. They respond later than drives do, so that the
 processes of a line, which poll all the time, do a third of what they would."""
 
+WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
+"""The commands that change something."""
+NO_TENSION_ALARM = """
+[[built_in_alarm]]
+code = "analog_out_of_limits"
+above_percent = 100
+below_percent = 0
+"""
+"""A section beside one that is stopped pulls the web taut, sooner or later."""
+
 ONE_REQUEST = httpx.Limits(max_keepalive_connections=0)
 """For each connection of a client: the server closes one that is idle, maybe as the next request is sent."""
 
@@ -76,6 +86,15 @@ class Line:
     port: str
     remote: Remote
     process: ForkedProcess
+
+    @contextmanager
+    def stopped(self, unit: int) -> Iterator[None]:
+        """Hold a unit in emergency stop."""
+        self.remote.do("input", unit=unit, input="estop", on=True)
+        try:
+            yield
+        finally:
+            self.remote.do("input", unit=unit, input="estop", on=False)
 
     def close(self) -> None:
         """Power off."""
@@ -202,6 +221,11 @@ class Site:
     def wait_for_units(self) -> None:
         """Until every unit has been read, and its decimals are known: of many, one after the other."""
         eventually(self._all_read, "a reading from every unit", within=max(START_S, 2.0 * self.units))
+
+    def writes(self) -> list[str]:
+        """Every request that writes, as the units of ``line`` received it."""
+        entries: list[dict[str, Any]] = self.line.remote.do("record", kinds=["received"])
+        return [entry["hex"] for entry in entries if bytes.fromhex(entry["hex"])[1] in WRITES]
 
     def acknowledge_all(self) -> None:
         """Acknowledge every alarm that there is."""

@@ -10,12 +10,11 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import AT_REST, Site, eventually
+from tests.e2e.pages import PANEL, PHONE, opened
+from tests.e2e.site import AT_REST, NO_TENSION_ALARM, Site, eventually
 from tests.e2e.test_unit import CLOCK
 from tests.sizes import sizes
 
-PANEL = {"width": 1280, "height": 800}
-PHONE = {"width": 360, "height": 740}
 BETWEEN_TAPS_MS = 350
 UNITS = (2, 3, 4)
 MAX_ROW_PX = {1280: 56, 360: 140}
@@ -40,13 +39,6 @@ TARGETS = """rows => [...rows.querySelectorAll("button")].map(button => {
     return { left: x - reach(-1, 0), top: y - reach(0, -1), right: x + reach(1, 0), bottom: y + reach(0, 1) };
 })"""
 """What a finger presses of the button of each row, to half a pixel."""
-NO_TENSION_ALARM = """
-[[built_in_alarm]]
-code = "analog_out_of_limits"
-above_percent = 100
-below_percent = 0
-"""
-"""A section beside one that is stopped pulls the web taut, sooner or later."""
 
 
 @pytest.fixture(scope="module")
@@ -77,12 +69,6 @@ def stopped(site: Site) -> Iterator[None]:
         stop(site, unit, active=False)
     eventually(lambda: all(not alarm["active"] for alarm in alarms(site).values()), "cleared")
     site.acknowledge_all()
-
-
-def opened(page: Page, site: Site, path: str = "/alarms") -> Page:
-    page.goto(f"{site.url}{path}")
-    expect(page.locator("body[data-link=live]")).to_be_attached()
-    return page
 
 
 PLACE = """row => {
@@ -143,10 +129,10 @@ def tap_twice(page: Page, button: Locator) -> None:
     "context", sizes({"viewport": PANEL}, {"viewport": PHONE, "has_touch": True, "is_mobile": True})
 )
 @pytest.mark.usefixtures("stopped")
-def test_two_taps_on_one_place_acknowledge_one_alarm(
+def test_two_taps_on_one_place_acknowledge_one_alarm_and_no_row_moves(
     site: Site, shared_page: OpensPages, context: dict[str, Any]
 ) -> None:
-    page = opened(shared_page(taps=True, **context), site)
+    page = opened(shared_page(taps=True, **context), "/alarms")
     before = places(page)
     heights = [height for _, _, _, height in before.values()]
     assert max(heights) <= MAX_ROW_PX[page.viewport_size["width"]]  # type: ignore[index]
@@ -169,6 +155,10 @@ def test_two_taps_on_one_place_acknowledge_one_alarm(
     stop(site, unit, active=False)
     expect(row(page, unit)).to_contain_text("normal")
     assert places(page) == before
+    with site.line.stopped(5):
+        expect(row(page, 5)).to_contain_text("active, not acknowledged")
+        assert places(page) == before, "a new alarm moves none"
+    eventually(lambda: not alarms(site)[5]["active"], "cleared")
     page.get_by_role("link", name="Sort list").click()
     expect(row(page, unit)).to_have_count(0)
 
@@ -179,7 +169,7 @@ def test_a_second_tap_that_hits_the_row_below_acknowledges_nothing(
 ) -> None:
     page = browser_page(viewport=PANEL, taps=True)
     page.add_init_script(CLOCK)
-    opened(page, site)
+    opened(page, "/alarms")
     page.evaluate("sessionStorage.setItem('test-now', Date.now())")
     buttons = page.locator("#alarms tbody button")
     expect(buttons).to_have_count(len(UNITS))
@@ -194,24 +184,9 @@ def test_a_second_tap_that_hits_the_row_below_acknowledges_nothing(
     assert len(acknowledged(site)) == 1
 
 
-@pytest.mark.usefixtures("stopped")
-def test_a_new_alarm_moves_no_row(site: Site, shared_page: OpensPages) -> None:
-    stop(site, 2, active=False)
-    page = opened(shared_page(viewport=PANEL), site)
-    before = places(page)
-    stop(site, 5, active=True)
-    try:
-        expect(row(page, 5)).to_contain_text("active, not acknowledged")
-        assert places(page) == before
-    finally:
-        stop(site, 5, active=False)
-        eventually(lambda: not alarms(site)[5]["active"], "cleared")
-        site.acknowledge_all()
-
-
 def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, shared_page: OpensPages) -> None:
     site.acknowledge_all()
-    page = opened(shared_page(viewport=PANEL, reduced_motion="no-preference"), site, "/events")
+    page = opened(shared_page(viewport=PANEL, reduced_motion="no-preference"), "/events")
     head = page.locator(".top__alarm")
     expect(head).to_have_text(re.compile(r"^\s*No alarms\s*$"))
     boxes = page.evaluate(BOXES)
@@ -248,7 +223,7 @@ def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, shared
 def test_an_acknowledged_emergency_stop_keeps_its_shape_color_and_rank(
     site: Site, shared_page: OpensPages
 ) -> None:
-    page = opened(shared_page(viewport=PANEL, reduced_motion="no-preference"), site)
+    page = opened(shared_page(viewport=PANEL, reduced_motion="no-preference"), "/alarms")
     site.line.remote.do("mode", unit=5, to="local")
     try:
         site.acknowledge_all()
@@ -269,11 +244,9 @@ IS_CUT = "part => part.scrollWidth > part.clientWidth || part.scrollHeight > par
 
 @pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
 @pytest.mark.usefixtures("stopped")
-def test_the_head_of_a_phone_names_unit_cause_and_time(
-    site: Site, shared_page: OpensPages, locale: str
-) -> None:
+def test_the_head_of_a_phone_names_unit_cause_and_time(shared_page: OpensPages, locale: str) -> None:
     """Where the name of the unit is a long one, that gives way to the cause and its time."""
-    page = opened(shared_page(viewport=PHONE, locale=locale), site, "/events")
+    page = opened(shared_page(viewport=PHONE, locale=locale), "/events")
     verdict = page.locator(".top__words")
     name = verdict.locator(".verdict__name")
     expect(verdict).to_contain_text(re.compile(r"\d\d:\d\d"))

@@ -53,8 +53,7 @@ def test_sound_is_switched_on_tested_allowed_by_a_press_and_silenced(
     assert box is not None
     assert box["height"] >= 48
     assert flaws(page, GERMAN) == []
-    site.line.remote.do("input", unit=5, input="estop", on=True)
-    try:
+    with site.line.stopped(5):
         allow.click()
         silence = page.get_by_role("button", name="Alarme stumm schalten")
         expect(silence).to_be_visible()
@@ -64,8 +63,6 @@ def test_sound_is_switched_on_tested_allowed_by_a_press_and_silenced(
         with site.api("viewer") as client:
             eventually(lambda: _estop(client)["silenced"], "the server knows")
             assert _estop(client)["acknowledged"] is False
-    finally:
-        site.line.remote.do("input", unit=5, input="estop", on=False)
 
 
 @pytest.mark.soak

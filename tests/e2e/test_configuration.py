@@ -10,9 +10,9 @@ import pytest
 from playwright.sync_api import expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
+from tests.e2e.pages import PHONE
 from tests.e2e.site import AT_REST, Site
 
-PHONE = {"width": 360, "height": 740}
 MAX_MS = 60_000
 """For a server to end and to start."""
 

@@ -8,14 +8,14 @@ from struct import pack
 from zlib import compress, crc32
 
 import pytest
-from playwright.sync_api import Page, ViewportSize, expect
+from playwright.sync_api import Page, expect
 
 from app.records.handover.rules import exif_of
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
+from tests.e2e.pages import PHONE
 from tests.e2e.site import PASSWORD
 
 MAX_SCREENS, MAX_PAPER = 12, 2
-PHONE: ViewportSize = {"width": 360, "height": 740}
 
 
 def png(width: int, height: int, more: bytes = b"") -> bytes:

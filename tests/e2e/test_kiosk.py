@@ -9,14 +9,13 @@ from functools import cache, partial
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect
+from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from tests.e2e.conftest import FORGETS_TAPS, OpensPages, focus
-from tests.e2e.pages import LIVE
+from tests.e2e.pages import LIVE, PANEL
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
 
-PANEL: ViewportSize = {"width": 1280, "height": 800}
 HOME = "/units/line/2"
 PIN = "471193"
 FAKE_LOCK = """
@@ -105,12 +104,6 @@ def panel(browser: Browser, site: Site, panels: Callable[[str], Any]) -> Iterato
         context.close()
 
 
-def received_writes(site: Site) -> int:
-    """Return how many requests that write the units have received."""
-    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
-    return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
-
-
 def tap(page: Page, selector: str) -> None:
     """A finger on the middle of an element, whatever lies over it."""
     box = page.locator(selector).first.bounding_box()
@@ -164,17 +157,17 @@ def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., 
     page = panel("first", HOME, clock=True)
     tap(page, ".nudges button >> nth=2")
     expect(page.locator("#setpoint-error")).to_contain_text("verified")
-    before = received_writes(site)
+    before = len(site.writes())
     page.clock.fast_forward("11:00")
     expect(page.locator(".cover--dark")).to_be_visible()
     expect(page.locator(".cover--dark")).to_contain_text("all 2 at speed")
     expect(page.locator(".cover--dark [data-clock]")).to_have_text(re.compile(r"\d\d:\d\d:\d\d"))
     tap(page, ".nudges button >> nth=2")
     expect(page.locator(".cover")).to_have_count(0)
-    assert received_writes(site) == before
+    assert len(site.writes()) == before
     expect_controls(page)
     tap(page, ".nudges button >> nth=2")
-    eventually(lambda: received_writes(site) == before + 1, "the second touch")
+    eventually(lambda: len(site.writes()) == before + 1, "the second touch")
 
 
 @pytest.mark.soak
@@ -182,16 +175,16 @@ def test_a_key_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> 
     page = panel("first", HOME, clock=True)
     button = page.locator(".nudges button").nth(2)
     focus(button)
-    before = received_writes(site)
+    before = len(site.writes())
     page.clock.fast_forward("11:00")
     expect(page.locator(".cover--dark")).to_be_visible()
     page.keyboard.press("Enter")
     expect(page.locator(".cover")).to_have_count(0)
-    assert received_writes(site) == before
+    assert len(site.writes()) == before
     expect_controls(page)
     expect(button).to_be_focused()
     page.keyboard.press("Enter")
-    eventually(lambda: received_writes(site) == before + 1, "the second key")
+    eventually(lambda: len(site.writes()) == before + 1, "the second key")
 
 
 @pytest.mark.soak
@@ -207,10 +200,10 @@ def test_an_untouched_panel_goes_home_and_leaves_no_review_open(
     # Untouched since: the first touch here only wakes it.
     page.clock.fast_forward("00:10")
     expect(page.locator(".cover--guard")).to_be_attached()
-    before = received_writes(site)
+    before = len(site.writes())
     tap(page, ".nudges button >> nth=2")
     expect(page.locator(".cover")).to_have_count(0)
-    assert received_writes(site) == before
+    assert len(site.writes()) == before
 
 
 @pytest.mark.soak
@@ -218,17 +211,14 @@ def test_a_panel_with_an_active_condition_does_not_go_dark(site: Site, panel: Ca
     page = panel("wall", HOME, clock=True)
     page.clock.fast_forward("11:00")
     expect(page.locator(".cover--dark")).to_be_visible()
-    site.line.remote.do("input", unit=1, input="estop", on=True)
-    try:
+    with site.line.stopped(1):
         expect(page.locator(".cover--dark")).to_have_count(0)
-    finally:
-        site.line.remote.do("input", unit=1, input="estop", on=False)
 
 
 @pytest.mark.soak
 def test_cleaning_by_touch_sets_nothing(site: Site, panel: Callable[..., Page]) -> None:
     page = panel("first", HOME, clock=True)
-    before = received_writes(site)
+    before = len(site.writes())
     page.locator("[popovertarget=user-menu]").tap()
     page.locator("[data-clean]").tap()
     expect(page.locator(".cover--clean")).to_contain_text("30 s")
@@ -238,7 +228,7 @@ def test_cleaning_by_touch_sets_nothing(site: Site, panel: Callable[..., Page]) 
     expect(page).to_have_url(HOME)
     page.clock.run_for(31_000)
     expect(page.locator(".cover")).to_have_count(0)
-    assert received_writes(site) == before
+    assert len(site.writes()) == before
 
 
 @pytest.mark.soak

@@ -5,105 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import atan, degrees
 from pathlib import Path
-from typing import Any
 
-import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
+from tests.e2e.conftest import ENGLISH, OpensPages
 from tests.e2e.limits import PAGE_MS
+from tests.e2e.pages import PANEL, PHONE
 from tests.e2e.site import Site
-from tests.e2e.test_screen import PHONE, opened
+from tests.e2e.test_screen import opened
 from tests.sizes import sizes
-
-OFFICE = {"width": 1280, "height": 800}
 
 
 def test_the_page_shows_the_units_values(site: Site, shared_page: OpensPages) -> None:
-    page = shared_page("viewer", viewport=OFFICE)
+    page = shared_page("viewer", viewport=PANEL)
     page.goto("/")
     for unit in range(1, 9):
         raw = site.line.remote.do("state", unit=unit)["commanded"]
         expect(page.locator(f'[data-live="line/{unit}.commanded"]').first).to_have_text(f"{raw / 10:.1f}")
-
-
-BOXES = """selector => [...document.querySelectorAll(selector)].map(each => {
-  const { x, y, width, height } = each.getBoundingClientRect();
-  return [each.className, ...[x, y + scrollY, width, height].map(Math.round)].join(" ");
-})"""
-KEEP_THEIR_PLACES = ".tile, .tile__actual, .tile__actual .value__number, .totals > [data-is], .views"
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize(
-    ("size", "locale"), [(OFFICE, ENGLISH), ({"width": 360, "height": 740}, GERMAN)], ids=["panel", "phone"]
-)
-def test_no_tile_moves_when_an_emergency_stop_comes_or_a_unit_is_opened(
-    site: Site, browser_page: OpensPages, size: Any, locale: str
-) -> None:
-    site.end_alarms()
-    page = browser_page("operator", viewport=size, locale=locale)
-    page.goto("/?view=tiles")
-    expect(page.locator("body")).to_have_attribute("data-link", "live")
-    before = page.evaluate(BOXES, KEEP_THEIR_PLACES)
-    try:
-        site.line.remote.do("input", unit=2, input="estop", on=True)
-        expect(page.locator('.tile[data-unit="line/2"]')).to_have_attribute("data-is", "urgent")
-        expect(page.locator(".top__alarm")).not_to_have_attribute("data-is", "")
-        assert page.evaluate(BOXES, KEEP_THEIR_PLACES) == before
-        page.locator('[data-unit="line/4"] [data-faceplate]').click()
-        expect(page.locator("#faceplate-name")).to_be_visible()
-        assert page.evaluate(BOXES, KEEP_THEIR_PLACES) == before
-        page.locator(".faceplate__state .status__text").evaluate(
-            "each => each.textContent = 'cause '.repeat(40)"
-        )
-        rows = page.locator(".faceplate__state").evaluate("each => [each.scrollHeight, each.clientHeight]")
-        assert rows[0] == rows[1], "a long cause lies over what follows"
-    finally:
-        site.line.remote.do("input", unit=2, input="estop", on=False)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
-@pytest.mark.parametrize(
-    "address", [("/login", None), ("/users", "admin"), ("/account", "viewer"), ("/nothing", "viewer")]
-)
-def test_a_page_beside_the_line_is_accessible(
-    shared_page: OpensPages, flaws: Callable[..., list[str]], address: tuple[str, str | None], locale: str
-) -> None:
-    path, role = address
-    page = shared_page(role, locale=locale)
-    page.goto(path)
-    assert flaws(page, locale) == []
-
-
-FOR_A_PHONE = [
-    "/users",
-    "/account",
-    "/nothing",
-    "/events",
-    "/sets",
-    "/sets/compare",
-    "/recipes",
-    "/batch/line",
-]
-SMALL_TARGETS = """() => [...document.querySelectorAll("main :is(button, .button, select, input, .check)")]
-  .filter((each) => each.checkVisibility() && each.getBoundingClientRect().height < 48)
-  .filter((each) => !each.closest(".check") || each.matches(".check"))
-  .map((each) => each.outerHTML.slice(0, 120))"""
-HIDDEN_TO_THE_SIDE = """() => [...document.querySelectorAll("main .table-wrap")]
-  .filter((each) => each.scrollWidth > each.clientWidth + 1).map((each) => each.ariaLabel)"""
-
-
-@pytest.mark.soak
-def test_the_pages_around_the_line_fit_a_phone_in_a_glove(browser_page: OpensPages) -> None:
-    page = browser_page("admin", viewport={"width": 360, "height": 740}, has_touch=True, is_mobile=True)
-    for path in FOR_A_PHONE:
-        page.goto(path)
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), path
-        assert page.evaluate(SMALL_TARGETS) == [], path
-        assert page.evaluate(HIDDEN_TO_THE_SIDE) == [], path
 
 
 @pytest.mark.soak
@@ -140,32 +59,8 @@ def test_a_user_is_added_given_a_role_disabled_and_removed(
     expect(row).to_have_count(0)
 
 
-@pytest.mark.soak
-def test_a_token_is_revoked_after_a_confirmation(
-    site: Site, shared_page: OpensPages, axe: Callable[..., list[str]]
-) -> None:
-    page = shared_page("admin", viewport={"width": 360, "height": 740})
-    page.goto("/users")
-    page.get_by_role("button", name="New token").click()
-    drawer = page.get_by_role("dialog", name="New token")
-    drawer.get_by_label("Name").fill("plc")
-    drawer.get_by_role("button", name="Create the token").click()
-    token = page.locator("[data-token]").inner_text()
-    revoke = page.get_by_role("button", name="Revoke the token: plc")
-    revoke.click()
-    expect(page.locator("#review")).to_contain_text("Never used")
-    assert axe(page) == []
-    page.get_by_role("button", name="Cancel").click()
-    bearer = {"Authorization": f"Bearer {token}"}
-    assert httpx.get(f"{site.url}/api/v1/me", headers=bearer).status_code == 200
-    revoke.click()
-    page.get_by_role("button", name="Revoke plc").click()
-    expect(revoke).to_have_count(0)
-    assert httpx.get(f"{site.url}/api/v1/me", headers=bearer).status_code == 401
-
-
 def test_it_can_be_installed(browser_page: OpensPages) -> None:
-    page = browser_page(viewport=OFFICE, service_workers="allow")
+    page = browser_page(viewport=PANEL, service_workers="allow")
     page.goto("/")
     page.evaluate("navigator.serviceWorker.ready.then(() => true)")
     devtools = page.context.new_cdp_session(page)
@@ -190,7 +85,7 @@ def test_it_can_be_installed(browser_page: OpensPages) -> None:
 def test_a_parameter_is_found_and_opened_by_keyboard(
     shared_page: OpensPages, request: pytest.FixtureRequest, judge: str
 ) -> None:
-    page = opened(shared_page("engineer", viewport=OFFICE, locale=ENGLISH), "/units/line/1")
+    page = opened(shared_page("engineer", viewport=PANEL, locale=ENGLISH), "/units/line/1")
     page.keyboard.press("Control+k")
     page.keyboard.type("accel")
     place = page.locator(".find__place").first
@@ -217,7 +112,7 @@ def test_a_phone_has_the_other_pages_one_press_away(
 
 
 def test_the_legend_is_one_key_away(shared_page: OpensPages) -> None:
-    page = opened(shared_page("viewer", viewport=OFFICE, locale=ENGLISH), "/")
+    page = opened(shared_page("viewer", viewport=PANEL, locale=ENGLISH), "/")
     page.keyboard.press("?")
     expect(page.locator("#legend")).to_contain_text("Only an outline")
     page.keyboard.press("Escape")
@@ -279,13 +174,3 @@ def test_the_verdict_is_read_from_six_meters_and_nothing_is_cut_off(shared_page:
         LONG,
     )
     assert fitted != "0"
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
-def test_the_wallboard_is_accessible_and_fits_its_window(
-    shared_page: OpensPages, flaws: Callable[..., list[str]], locale: str
-) -> None:
-    page = opened(shared_page("viewer", viewport=PHONE, locale=locale), "/wallboard")
-    expect(page.locator(".rail")).to_have_count(0)
-    assert flaws(page, locale) == []

@@ -10,28 +10,11 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.limits import UNIT_MS
+from tests.e2e.pages import PANEL, PHONE, count_shifts, opened, shifts
 from tests.e2e.site import Site, eventually
 from tests.sizes import in_turn
 
-PANEL, PHONE = {"width": 1280, "height": 800}, {"width": 360, "height": 740}
 UNIT = 3
-COUNT_SHIFTS = """async () => {
-  await document.fonts.ready;
-  await new Promise((painted) => requestAnimationFrame(() => requestAnimationFrame(painted)));
-  const sides = ["left", "top", "right", "bottom"];
-  const moved = (before, now) => sides.some((side) => Math.abs(before[side] - now[side]) >= 1);
-  const main = document.querySelector("main");
-  window.shifted = [];
-  new PerformanceObserver((list) => {
-    for (const entry of list.getEntries())
-      for (const { node, previousRect, currentRect } of entry.sources)
-        if (main.contains(node) && moved(previousRect, currentRect)) {
-          const what = (node.outerHTML ?? node.textContent).slice(0, 200);
-          window.shifted.push([what, previousRect.toJSON(), currentRect.toJSON()]);
-        }
-  }).observe({ type: "layout-shift" });
-}"""
-"""Counts what moves below the head from the next painted frame on, after a press too."""
 END_UNDO = (
     "() => { for (const until of document.querySelectorAll('[data-until]')) until.dataset.until = '0'; }"
 )
@@ -46,27 +29,15 @@ def faults(site: Site) -> Iterator[Callable[..., Any]]:
         site.line.remote.do("mode", unit=unit, to="remote")
 
 
-def opened(page: Page, path: str) -> Page:
-    page.goto(path)
-    expect(page.locator("body[data-link=live]")).to_be_attached()
-    page.evaluate(COUNT_SHIFTS)
-    return page
-
-
 def changed(text: str, by: float) -> str:
     """A setpoint as it is typed, in the language of the page."""
     number = f"{float(text.replace(',', '.')) + by:.1f}"
     return number.replace(".", ",") if "," in text else number
 
 
-def press(page: Page, selector: str) -> None:
-    page.locator(selector).click()
-
-
 def no_shift(page: Page, step: str) -> None:
     page.evaluate("() => new Promise((drawn) => requestAnimationFrame(() => setTimeout(drawn, 50)))")
-    found = page.evaluate("() => window.shifted.splice(0)")
-    assert found == [], step
+    assert shifts(page) == [], step
 
 
 @pytest.mark.parametrize(
@@ -77,43 +48,44 @@ def test_nothing_on_a_unit_moves_for_a_command_its_result_its_undo_or_an_alarm(
     shared_page: OpensPages, faults: Callable[..., Any], size: Any, locale: str
 ) -> None:
     page = opened(shared_page("engineer", viewport=size, locale=locale), f"/units/line/{UNIT}")
+    count_shifts(page, "main")
     field = page.locator("#setpoint")
     expect(field).not_to_have_value("")
 
     def send(value: str, opens: str) -> None:
         field.fill(value)
-        press(page, opens)
+        page.locator(opens).click()
         page.locator("[data-review-act]").wait_for()
         no_shift(page, f"the review by {opens}")
-        press(page, "[data-review-act]")
+        page.locator("[data-review-act]").click()
         expect(page.locator("#setpoint-error [data-review-done]")).to_be_visible(timeout=UNIT_MS)
         no_shift(page, f"the result by {opens}")
 
     was = field.input_value()
     send(changed(was, 1.5), ".setter__now")
-    press(page, "#setpoint-error [data-undo] button")
+    page.locator("#setpoint-error [data-undo] button").click()
     page.locator("[data-review-act]").wait_for()
     no_shift(page, "the review of the undo")
-    press(page, "[data-review-act]")
+    page.locator("[data-review-act]").click()
     expect(field).to_have_value(was, timeout=UNIT_MS)
     no_shift(page, "the result of the undo")
     page.evaluate(END_UNDO)
     expect(page.locator("[data-undo]:visible")).to_have_count(0)
     no_shift(page, "the end of the undo")
     field.fill("99999")
-    press(page, ".setter__now")
+    page.locator(".setter__now").click()
     page.locator("#setpoint-error [data-use]").wait_for()
     no_shift(page, "a refusal")
     send(changed(was, 0.9), ".setter__stage")
-    press(page, ".staged button")
+    page.locator(".staged button").click()
     page.locator("[data-review-act]").wait_for()
-    press(page, "[data-review-act]")
+    page.locator("[data-review-act]").click()
     expect(field).to_have_value(changed(was, 0.9), timeout=UNIT_MS)
     no_shift(page, "the executed stage")
-    press(page, "button.outputs__item >> nth=0")
+    page.locator("button.outputs__item >> nth=0").click()
     page.locator("#outputs-review [data-review-act]").wait_for()
     no_shift(page, "the review of an output")
-    press(page, "#outputs-review [data-review-act]")
+    page.locator("#outputs-review [data-review-act]").click()
     expect(page.locator("#outputs-result [data-review-done]")).to_be_visible(timeout=UNIT_MS)
     no_shift(page, "the result of an output")
     faults("input", unit=UNIT, input="estop", on=True)
@@ -137,6 +109,7 @@ def test_no_row_of_the_setpoints_moves_for_a_change_what_is_staged_or_an_alarm(
     site: Site, shared_page: OpensPages, faults: Callable[..., Any], size: Any, locale: str
 ) -> None:
     page = opened(shared_page("engineer", viewport=size, locale=locale), "/setpoints")
+    count_shifts(page, "main")
     result = page.locator("#change-line [data-review-done=good]")
     was = {unit: site.unit(unit)["commanded"] for unit in (1, 2, 3)}
     for unit, commanded in was.items():
@@ -144,9 +117,9 @@ def test_no_row_of_the_setpoints_moves_for_a_change_what_is_staged_or_an_alarm(
         page.locator(f"[name=new-{unit}]").fill(text.replace(".", ",") if locale == GERMAN else text)
     expect(page.locator("[data-draw='line/1 line/2'] .draw-typed__new")).to_contain_text("%")
     no_shift(page, "typed values")
-    press(page, ".setpoints__act [type=submit]")
+    page.locator(".setpoints__act [type=submit]").click()
     page.locator("[data-review-act]").wait_for()
-    press(page, "[data-review-act]")
+    page.locator("[data-review-act]").click()
     expect(result).to_be_visible(timeout=UNIT_MS)
     expect(page.locator("[name=new-1]")).to_have_value("")
     expect(result.locator("[data-undo] button")).to_be_visible()
@@ -159,16 +132,16 @@ def test_no_row_of_the_setpoints_moves_for_a_change_what_is_staged_or_an_alarm(
     expect(execute).to_contain_text("3")
     expect(page.locator(".staged-mark:visible")).to_have_count(3)
     no_shift(page, "three staged setpoints")
-    press(page, "#tray [hx-post$='/staged/discard']")
+    page.locator("#tray [hx-post$='/staged/discard']").click()
     expect(page.locator(".staged-mark:visible")).to_have_count(0, timeout=UNIT_MS)
     expect(page.locator("#tray > *:visible")).to_have_count(0)
     no_shift(page, "discarded")
 
     before = stage(site, -0.6)
     expect(execute).to_contain_text("3")
-    press(page, "#tray [hx-get$='/staged/review']")
+    page.locator("#tray [hx-get$='/staged/review']").click()
     page.locator("[data-review-act]").wait_for()
-    press(page, "[data-review-act]")
+    page.locator("[data-review-act]").click()
     then = {unit: changed(commanded, -0.6) for unit, commanded in before.items()}
     eventually(lambda: {unit: site.unit(unit)["commanded"] for unit in then} == then, "they are executed")
     expect(page.locator("[data-review]")).to_have_count(0)

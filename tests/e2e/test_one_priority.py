@@ -11,16 +11,10 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import UNIT_MS
-from tests.e2e.site import AT_REST, Site
+from tests.e2e.pages import PANEL, opened
+from tests.e2e.site import AT_REST, NO_TENSION_ALARM, Site
 
-PANEL = {"width": 1280, "height": 800}
 UNIT = 3
-NO_TENSION_ALARM = """
-[[built_in_alarm]]
-code = "analog_out_of_limits"
-above_percent = 100
-below_percent = 0
-"""
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +31,7 @@ def priority(place: Locator) -> str:
 def priorities(page: Page) -> dict[str, str]:
     """The priority of the one abnormal unit, by surface."""
     shown = {}
-    page.goto("/?view=tiles")
-    expect(page.locator("body[data-link=live]")).to_be_attached()
+    opened(page, "/?view=tiles")
     tile = page.locator(f'[data-unit="line/{UNIT}"]').first
     expect(tile.locator(".alarm-priority")).not_to_have_attribute("data-is", "", timeout=UNIT_MS)
     shown["tile"] = priority(tile.locator(".alarm-priority"))
@@ -47,8 +40,7 @@ def priorities(page: Page) -> dict[str, str]:
     shown["head"] = priority(page.locator(".top__alarm"))
     tile.click()
     shown["faceplate"] = priority(page.locator(".faceplate__alarm").first)
-    page.goto(f"/units/line/{UNIT}")
-    expect(page.locator("body[data-link=live]")).to_be_attached()
+    opened(page, f"/units/line/{UNIT}")
     shown["unit page"] = priority(page.locator(".alarm-words").first)
     page.goto("/alarms")
     shown["list of alarms"] = priority(page.locator(f'[id^="alarm-line.{UNIT}."] .alarm-priority').first)

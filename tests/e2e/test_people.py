@@ -13,12 +13,9 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus
 from tests.e2e.limits import CALL_S, PROCEDURE_S
-from tests.e2e.pages import LIVE, opened
+from tests.e2e.pages import LIVE, PANEL, opened
 from tests.e2e.site import AT_REST, ONE_REQUEST, Site, eventually
 from tests.sizes import sizes
-
-PANEL = {"width": 1280, "height": 800}
-WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
 
 
 @pytest.fixture(scope="module")
@@ -65,12 +62,6 @@ def pages(site: Site) -> list[str]:
     ]
 
 
-def received_writes(site: Site) -> list[str]:
-    """Return every request that writes, as the units received it."""
-    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
-    return [entry["hex"] for entry in entries if bytes.fromhex(entry["hex"])[1] in WRITES]
-
-
 def setpoint(site: Site, unit: int) -> int:
     found: int = site.line.remote.do("state", unit=unit)["setpoint"]
     return found
@@ -113,7 +104,7 @@ def test_control_is_taken_seen_handed_over_and_given_back(
 
 @pytest.mark.usefixtures("holder")
 def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPages) -> None:
-    before = received_writes(site)
+    before = site.writes()
     page = opened(shared_page("operator", viewport=PANEL), "/units/line/1")
     expect(page.locator(".top")).to_contain_text("admin-program")
     page.locator("#setpoint").fill("55.0")
@@ -132,7 +123,7 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPa
     with site.api("operator") as client:
         response = client.post("/buses/line/units/1/speed", json={"raw": 550})
     assert (response.status_code, response.json()["code"]) == (409, "controlled")
-    assert received_writes(site) == before
+    assert site.writes() == before
 
 
 @pytest.mark.soak
@@ -218,17 +209,6 @@ def test_a_request_for_control_is_accessible_and_covers_nothing_of_the_head(
             page.locator("[data-head-control] button").click()
 
 
-@pytest.mark.soak
-@pytest.mark.usefixtures("holder")
-def test_refusals_are_shown_in_the_language_of_the_page(shared_page: OpensPages) -> None:
-    page = opened(shared_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")
-    page.locator("#setpoint").fill("55,0")
-    page.get_by_role("button", name="Jetzt stellen").click()
-    expect(page.locator("#setpoint-error")).to_contain_text("Bedienhoheit: admin-program (Token)")
-    opened(page, "/bus/line")
-    expect(page.locator("[data-people]")).to_contain_text("operator · Bediener")
-
-
 # --- limits and blocks ----------------------------------------------------------------------------
 
 STATUS = {"load": 409, "write": 200}
@@ -284,12 +264,11 @@ def staged_and_saved(site: Site, holder: httpx.Client) -> Iterator[int]:
     holder.request("DELETE", f"{api}/units/1/block")
 
 
-@pytest.mark.parametrize("limits", sizes({"highest": 800}, {"lowest": 950}, {"per_minute": 100}))
-def test_a_limit_holds_on_every_path(
-    site: Site, holder: httpx.Client, staged_and_saved: int, limits: dict[str, int]
+def test_limits_hold_and_a_large_step_wants_a_review_on_every_path(
+    site: Site, holder: httpx.Client, staged_and_saved: int
 ) -> None:
-    assert holder.put("/api/v1/buses/line/units/1/limits", json=limits).status_code == 200
-    before = received_writes(site)
+    assert holder.put("/api/v1/buses/line/units/1/limits", json={"highest": 800}).status_code == 200
+    before = site.writes()
     load: tuple[str, str, dict[str, Any]] = (
         "POST",
         f"/api/v1/recipes/{staged_and_saved}/load",
@@ -298,15 +277,10 @@ def test_a_limit_holds_on_every_path(
     for method, path, arguments in [*SENDS, load]:
         response = press(holder, site, method, path, arguments)
         assert response.status_code == STATUS.get(path.rpartition("/")[2], 422), (path, response.text)
-        assert received_writes(site) == before, path
+        assert site.writes() == before, path
     assert setpoint(site, 1) == 600
 
-
-def test_a_large_step_wants_a_review_on_every_path(
-    site: Site, holder: httpx.Client, staged_and_saved: int
-) -> None:
     assert holder.put("/api/v1/buses/line/units/1/limits", json={"largest_step": 50}).status_code == 200
-    before = received_writes(site)
     for path, body in (
         ("/api/v1/buses/line/units/1/speed", {"raw": 900}),
         ("/api/v1/buses/line/speeds", {"setpoints": {"1": {"raw": 900}}}),
@@ -316,7 +290,7 @@ def test_a_large_step_wants_a_review_on_every_path(
         assert (response.status_code, response.json()["code"]) == (409, "confirm_needed"), path
     nudged = press(holder, site, "POST", "/units/line/1/nudge", {"data": {"step": "51", "id": "e" * 32}})
     assert "data-review-act" in nudged.text
-    assert received_writes(site) == before
+    assert site.writes() == before
     assert press(
         holder, site, "POST", "/units/line/1/nudge", {"data": {"step": "50", "id": "f" * 32}}
     ).is_success
@@ -330,7 +304,7 @@ def test_a_block_holds_on_every_path(site: Site, holder: httpx.Client, staged_an
     other = {"set": _a_set(holder), "from_unit": 2, "include": [20]}
     planned = holder.post(f"{api}/units/1/restores", json=other).json()
     assert holder.post(f"{api}/units/1/block", json={"reason": "belt off since 14:20"}).status_code == 200
-    before = received_writes(site)
+    before = site.writes()
     more: list[tuple[str, str, dict[str, Any]]] = [
         ("POST", f"/api/v1/recipes/{staged_and_saved}/load", {"json": {"confirm": True}}),
         ("POST", f"{api}/execute", {}),
@@ -341,11 +315,11 @@ def test_a_block_holds_on_every_path(site: Site, holder: httpx.Client, staged_an
         expected = 200 if path == "/setpoints/review" else STATUS.get(path.rpartition("/")[2], 423)
         assert response.status_code == expected, (path, response.text)
         assert "belt off since 14:20" in response.text, (path, response.text)
-        assert received_writes(site) == before, path
+        assert site.writes() == before, path
     holder.post(f"/api/v1/restores/{planned['id']}/start")
     ended = eventually(lambda: _ended(holder, planned["id"]), "the end of the restore", within=PROCEDURE_S)
     assert "belt off" in str(ended)
-    assert received_writes(site) == before
+    assert site.writes() == before
     assert "left out: commands blocked" in press(holder, site, *more[2]).text
     assert setpoint(site, 1) == 600
 
@@ -379,7 +353,7 @@ def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by
     page.locator("#reason").fill("belt off since 14:20")
     page.get_by_role("button", name="Block commands to Unwind").click()
     expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
-    before = received_writes(site)
+    before = site.writes()
     unsaid = []
     for path in pages[::every]:
         opened(page, path)
@@ -395,7 +369,7 @@ def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by
         expect(page.locator("dialog[open]")).to_have_count(0)
         expect(button).to_be_focused()
     assert unsaid == []
-    assert received_writes(site) == before
+    assert site.writes() == before
     opened(page, "/units/line/1")
     page.locator("summary").click()
     page.get_by_role("button", name="Lift the command block of Unwind").click()
@@ -418,7 +392,7 @@ def test_every_page_is_covered_without_its_server_and_sends_nothing(
     site: Site, browser_page: OpensPages, pages: list[str]
 ) -> None:
     context = browser_page("admin", viewport=PANEL).context
-    before = received_writes(site), newest_event(site)
+    before = site.writes(), newest_event(site)
     opened_tabs = [context.new_page() for _ in pages[:MAX_AT_ONCE]]
     for first in range(0, len(pages), MAX_AT_ONCE):
         paths = pages[first : first + MAX_AT_ONCE]
@@ -427,7 +401,7 @@ def test_every_page_is_covered_without_its_server_and_sends_nothing(
         for path, tab in tabs.items():
             expect(tab.locator(LIVE), path).to_be_attached()
             expect(tab, path).to_have_url(re.compile(re.escape(path)))
-    assert (received_writes(site), newest_event(site)) == before
+    assert (site.writes(), newest_event(site)) == before
 
 
 def covered_while_the_server_stands(site: Site, tabs: dict[str, Page]) -> None:
@@ -545,7 +519,7 @@ def test_nothing_moves_with_reduced_motion(browser_page: OpensPages) -> None:
 
 
 @pytest.mark.soak
-def test_a_token_is_copied_and_its_page_is_loaded_again_without_it(browser_page: OpensPages) -> None:
+def test_a_token_is_copied_shown_once_and_revoked_after_a_confirmation(browser_page: OpensPages) -> None:
     page = browser_page("admin", locale=ENGLISH, permissions=["clipboard-read", "clipboard-write"])
     page.goto("/users")
     page.get_by_role("button", name="New token").click()
@@ -556,8 +530,14 @@ def test_a_token_is_copied_and_its_page_is_loaded_again_without_it(browser_page:
     expect(page.get_by_role("button", name="Copied")).to_be_visible()
     assert page.evaluate("navigator.clipboard.readText()") == secret
     page.reload()
-    expect(page.get_by_role("button", name="Revoke the token: plc")).to_be_visible()
     expect(page.locator("[data-token]")).to_have_count(0)
+    revoke = page.get_by_role("button", name="Revoke the token: plc")
+    revoke.click()
+    expect(page.locator("#review")).to_contain_text("Never used")
+    page.get_by_role("button", name="Cancel").click()
+    revoke.click()
+    page.get_by_role("button", name="Revoke plc").click()
+    expect(revoke).to_have_count(0)
 
 
 @pytest.mark.provokes("422")

@@ -15,7 +15,6 @@ from app.main import FEATURES
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.pages import FITTED, NEEDS_MORE, NO_PAGES, PAGES, WALKED, opened
 from tests.e2e.site import AT_REST, Site, eventually
-from tests.e2e.test_phone_length import PATHS
 from tests.sizes import sizes
 
 WIDTHS = (360, 640, 768, 1000)
@@ -181,6 +180,8 @@ def test_a_cut_name_has_an_ellipsis_and_is_complete_at_the_focus(
 
 # --- what jams ------------------------------------------------------------------------------------------
 
+MAX_SCREENS = 12
+SCREENS = "document.documentElement.scrollHeight / innerHeight"
 JAMS = (Path(__file__).parent / "jams.js").read_text(encoding="utf-8")
 SIZES = ((360, 800), (1280, 800), (1920, 1080))
 ADD_STYLE = """style => {
@@ -188,6 +189,13 @@ ADD_STYLE = """style => {
   sheet.replaceSync(style);
   document.adoptedStyleSheets.push(sheet);
 }"""
+PATHS = [
+    *("/", "/?view=rows", "/units/line/1", "/units/line/1/parameters", "/units/line/1/restore"),
+    *("/setpoints", "/batch/line", "/bus/line", "/trends", "/alarms", "/alarms/journal"),
+    *("/alarms/performance", "/alarms/own", "/events", "/shifts", "/shifts/present", "/reports", "/sets"),
+    *("/sets/1", "/sets/compare?left=golden:line:1&right=live:line:1", "/recipes", "/recipes/1"),
+    *("/notifications", "/configuration", "/configuration/tables/bus.0.unit.0", "/account", "/system"),
+]
 MORE = ["/?view=matrix", "/docs", "/help", "/wallboard", "/alarms/line.1.estop_active.0"]
 
 
@@ -253,8 +261,31 @@ def test_a_jam_is_found(site: Site, shared_page: OpensPages, style: str, words: 
 @pytest.mark.soak
 @pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
 @pytest.mark.parametrize("path", [*PATHS, *MORE])
-def test_nothing_jams_on_any_page(past_site: Site, shared_page: OpensPages, path: str, locale: str) -> None:
-    assert jams(shared_page("engineer", site=past_site, locale=locale), path) == []
+def test_nothing_jams_on_any_page_and_none_is_longer_than_twelve_screens_of_a_phone(
+    past_site: Site, shared_page: OpensPages, path: str, locale: str
+) -> None:
+    page = shared_page("engineer", site=past_site, locale=locale)
+    assert jams(page, path) == []
+    page.set_viewport_size({"width": 360, "height": 800})
+    assert path in MORE or page.evaluate(SCREENS) <= MAX_SCREENS
+
+
+@pytest.mark.soak
+def test_a_long_word_widens_no_page(site: Site, shared_page: OpensPages) -> None:
+    named: dict[str, Any] = {"name": "W" * 80, "comment": "W" * 80}
+    with site.api("admin") as client:
+        # Once the ranges of setpoints are read.
+        recipe = named | {"setpoints": {"1": 700}}
+        eventually(lambda: client.post("/buses/line/recipes", json=recipe).is_success, "a recipe")
+        client.post("/buses/line/sets", json=named | {"units": [1]}).raise_for_status()
+    page = shared_page("admin", viewport={"width": 360, "height": 800})
+    view = {"name": "W" * 80, "query": "s=line/1/actual"}
+    page.request.post("/trends/views", form=view, headers={"Origin": site.url})
+    for path in ("/recipes", "/recipes/1", "/sets", "/sets/1", "/trends"):
+        opened(page, path)
+        page.evaluate("for (const each of document.querySelectorAll('#trend-views')) each.open = true")
+        expect(page.get_by_text("W" * 80).first).to_be_attached()
+        assert page.evaluate(TOO_WIDE) == [], path
 
 
 @pytest.mark.soak

@@ -4,21 +4,19 @@ none.
 
 from __future__ import annotations
 
-import html
 import json
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 from click.testing import CliRunner, Result
 from playwright.sync_api import Locator, Page, expect
 
 from app.cli import cli
 from tests.e2e.conftest import OpensPages
-from tests.e2e.limits import CALL_S, PROCEDURE_MS, PROCEDURE_S
+from tests.e2e.limits import PROCEDURE_MS, PROCEDURE_S
 from tests.e2e.site import Site, eventually
 
 OFFICE = {"width": 1280, "height": 900}
@@ -212,76 +210,6 @@ def test_a_setpoint_is_left_out_until_it_is_ticked(site: Site, shared_page: Open
     button.click()
     expect_proof(page)
     assert (parameter(site, 20), len(writes(site))) == (speed, mark + 2)
-
-
-def good_file(site: Site) -> str:
-    with site.api("engineer") as client:
-        newest = client.get("/sets", params={"unit": 2}).json()[-1]["id"]
-        return client.get(f"/sets/{newest}/document").text
-
-
-def bad_files(good: str) -> dict[str, tuple[bytes, str]]:
-    """Return invalid files, and the error for each."""
-    row = next(line for line in good.splitlines() if line.startswith("6 = "))
-    texts = {
-        "another-program": ("[server]\nport = 8000\n", "not a parameter set"),
-        "unknown-number": (good.replace("\n6 = ", "\n41 = "), "no parameter '41'"),
-        "out-of-range": (good.replace("\n6 = { ", "\n6 = { raw = 99999, x"), "6"),
-        "nonsense": (good.replace("\n6 = ", "\n6 = fast"), "not readable as TOML"),
-        "truncated": (good[: len(good) // 2], "not readable as TOML"),
-        "newer": (good.replace("version = 1", "version = 2"), "newer version of Lineside"),
-        "twice": (good + row + "\n", "not readable as TOML"),
-    }
-    files = {name: (text.encode(), error) for name, (text, error) in texts.items()}
-    files["latin"] = (good.replace("Infeed", "Einführ").encode("latin-1"), "not UTF-8 text")
-    files["utf16"] = (good.encode("utf-16"), "not UTF-8 text")
-    return files
-
-
-def test_a_bad_file_is_refused_in_words_and_nothing_is_written(site: Site, tmp_path: Path) -> None:
-    files = bad_files(good_file(site))
-    mark = len(writes(site))
-    runner = CliRunner()
-    for name, (content, error) in files.items():
-        file = tmp_path / f"{name}.toml"
-        file.write_bytes(content)
-        page = httpx.post(
-            f"{site.url}/units/line/2/restore",
-            files={"file": (file.name, content)},
-            headers={"Authorization": f"Bearer {site.tokens['engineer']}", "Accept": "text/html"},
-            timeout=CALL_S,
-        )
-        assert (page.status_code, error in html.unescape(page.text)) == (422, True), (name, page.text[:2000])
-        result = runner.invoke(cli, ["restore", *to(site, 2), "--yes", "--json", str(file)])
-        assert (result.exit_code, result.stdout, error in result.stderr) == (2, "", True), (
-            name,
-            result.stderr,
-        )
-        if not name.startswith(("latin", "utf16")):
-            with site.api("engineer") as client:
-                response = client.post("/buses/line/units/2/restores", json={"document": content.decode()})
-            assert (response.status_code, error in response.json()["detail"]) == (422, True), name
-    assert len(writes(site)) == mark
-
-
-def test_a_file_that_is_too_long_and_a_unit_that_is_not_there(site: Site, tmp_path: Path) -> None:
-    good, runner = good_file(site), CliRunner()
-    huge = tmp_path / "huge.toml"
-    huge.write_bytes(good.encode() + b"#" * 3_000_000)
-    result = runner.invoke(cli, ["restore", *to(site, 2), str(huge)])
-    assert (result.exit_code, "too long for a parameter set" in result.stderr) == (2, True)
-    with site.api("engineer") as client:
-        response = client.post("/buses/line/units/2/restores", content=huge.read_bytes())
-        assert (response.status_code, response.json()["code"]) == (413, "too_large")
-        response = client.post("/buses/line/units/9/restores", json={"document": good})
-        assert (response.status_code, "9" in response.json()["detail"]) == (404, True)
-        planned = client.post("/buses/line/units/1/restores", json={"document": good}).json()
-        assert "the set is from unit 2, this is unit 1: check every row" in str(planned["remarks"])
-    file = tmp_path / "good.toml"
-    file.write_text("\ufeff" + good, encoding="utf-8")
-    result = runner.invoke(cli, ["restore", *to(site, 9), str(file)])
-    assert (result.exit_code, "bus 'line' has no unit 9; it has 1, 2" in result.stderr) == (2, True)
-    assert runner.invoke(cli, ["diff", *to(site, 2), str(tmp_path / "none.toml")]).exit_code == 2
 
 
 @pytest.mark.soak

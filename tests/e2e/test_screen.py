@@ -12,12 +12,10 @@ from playwright.sync_api import Page, Response, WebSocketRoute, expect
 from app.core.help.handbook import WITH_A_PAGE
 from tests.e2e.conftest import ENGLISH, GERMAN, PANEL_PX, SIZES, UNCOVERED, OpensPages, sign_in
 from tests.e2e.limits import UNIT_MS
-from tests.e2e.pages import BESIDE_THE_RAIL, WALKED
+from tests.e2e.pages import BESIDE_THE_RAIL, PANEL, PHONE, WALKED, count_shifts, shifts
 from tests.e2e.site import Site, eventually
 from tests.sizes import sizes
 
-PHONE = {"width": 360, "height": 740}
-PANEL = {"width": 1280, "height": 800}
 RUNNING = re.compile(r"^\s*Running 119\.4 m/min · all 8 at speed\s*$")
 
 
@@ -62,10 +60,11 @@ def test_each_page_is_accessible_in_one_of_its_looks(
     assert {path: flaws for path, flaws in wrong.items() if flaws} == {}
 
 
+@pytest.mark.parametrize("locale", sizes(ENGLISH, GERMAN))
 def test_a_page_outside_of_the_line_is_accessible(
-    site: Site, shared_page: OpensPages, axe: Callable[..., list[str]]
+    site: Site, shared_page: OpensPages, axe: Callable[..., list[str]], locale: str
 ) -> None:
-    page = shared_page(None, viewport=PHONE)
+    page = shared_page(None, viewport=PHONE, locale=locale)
     for role, path in ((None, "/login"), ("viewer", "/nothing")):
         sign_in(page, site, role)
         page.goto(path)
@@ -117,20 +116,6 @@ def test_a_cell_of_the_matrix_draws_what_its_unit_is_off_by(shared_page: OpensPa
         "pointers => pointers.map(pointer => getComputedStyle(pointer).backgroundImage)"
     )
     assert all("gradient" in image for image in drawn), drawn
-
-
-@pytest.mark.soak
-def test_response_figures_are_cards_on_a_phone_with_links_large_enough_for_gloves(
-    browser_page: OpensPages,
-) -> None:
-    page = opened(browser_page("engineer", viewport=PHONE, has_touch=True), "/bus/line")
-    expect(page.locator(".responses tbody tr")).to_have_count(8)
-    table = page.locator(".table-wrap", has=page.locator(".responses"))
-    assert table.evaluate("table => table.scrollWidth - table.clientWidth") <= 0
-    heights = page.locator(".responses a").evaluate_all(
-        "links => links.map(link => link.getBoundingClientRect().height)"
-    )
-    assert min(heights) >= 44
 
 
 @pytest.mark.parametrize("path", sizes("/units/line/1", "/"))
@@ -196,52 +181,19 @@ def test_a_line_with_faults_names_them(site: Site, shared_page: OpensPages) -> N
     expect(page.locator("h1")).to_have_text(RUNNING, timeout=UNIT_MS)
 
 
-@pytest.mark.soak
-def test_the_phone_shows_the_state_without_a_touch(shared_page: OpensPages) -> None:
-    page = opened(shared_page("viewer", viewport=PHONE), "/")
-    expect(page.locator("h1")).to_be_in_viewport()
-    expect(page.locator("h1")).to_have_text(RUNNING)
-
-
-@pytest.mark.soak
-def test_german_is_german_with_its_decimal_sign(site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page(viewport=PANEL, locale="de-DE"), "/units/line/1")
-    raw = site.unit(1)["commanded_raw"]
-    expect(page.locator('[data-live="line/1.commanded"]')).to_have_text(f"{raw / 10:.1f}".replace(".", ","))
-    expect(page.get_by_role("button", name="Linie auf null")).to_be_visible()
-    expect(page.locator('[data-pad=","]')).to_be_visible()
-
-
-COUNT_SHIFTS = """async () => {
-  await new Promise((painted) => requestAnimationFrame(() => requestAnimationFrame(painted)));
-  window.shifted = [];
-  const sides = ["left", "top", "right", "bottom"];
-  const moved = (before, now) => sides.some((side) => Math.abs(before[side] - now[side]) >= 1);
-  new PerformanceObserver((list) => {
-    for (const entry of list.getEntries())
-      for (const { node, previousRect, currentRect } of entry.sources)
-        if (moved(previousRect, currentRect)) {
-          const what = node?.outerHTML ?? node?.textContent ?? "of a removed node";
-          window.shifted.push([what, previousRect.toJSON(), currentRect.toJSON()]);
-        }
-  }).observe({ type: "layout-shift" });
-}"""
-"""Counts from the next painted frame on, which shows the page as parsed."""
-
-
 def test_nothing_shifts_as_the_first_values_arrive_nor_later(site: Site, browser_page: OpensPages) -> None:
     site.end_alarms()
     page = browser_page(viewport=PANEL)
     release = hold_messages(page)
     page.goto("/")
-    page.evaluate(COUNT_SHIFTS)
+    count_shifts(page)
     release()
     expect(page.locator("body[data-link=live]")).to_be_attached()
     counted = page.locator("[data-clock]").first
     for beat in ("the heartbeat", "another heartbeat"):
         before = counted.inner_text()
         eventually(lambda before=before: counted.inner_text() != before, beat)  # type: ignore[misc]
-    assert page.evaluate("window.shifted") == []
+    assert shifts(page) == []
 
 
 def hold_messages(page: Page) -> Callable[[], None]:
@@ -304,6 +256,11 @@ def test_a_press_opens_the_faceplate_beside_the_line_and_escape_closes_it(
     plate.get_by_role("button", name="Set now").click()
     expect(plate.locator("[data-review]")).to_contain_text("120.0")
     assert axe(page, part="#faceplate") == []
+    plate.locator(".faceplate__state .status__text").evaluate(
+        "each => each.textContent = 'cause '.repeat(40)"
+    )
+    shown = plate.locator(".faceplate__state").evaluate("each => [each.scrollHeight, each.clientHeight]")
+    assert shown[0] == shown[1], "a long cause lies over what follows"
     page.keyboard.press("Escape")
     expect(page.locator("[data-review-act]")).to_have_count(0)
     expect(plate).to_be_visible()
@@ -362,19 +319,6 @@ def test_on_a_phone_the_faceplate_is_a_sheet_below_the_line(
     assert axe(page) == []
     page.get_by_role("button", name="Close").click()
     expect(page.locator("#faceplate")).to_be_hidden()
-
-
-@pytest.mark.soak
-def test_a_panel_is_cleaned_without_setting_anything(browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/")
-    page.clock.install()
-    page.get_by_role("button", name="operator").click()
-    page.get_by_role("button", name="Clean screen").click()
-    expect(page.locator(".cover--clean")).to_contain_text("30 s")
-    page.mouse.click(200, 300)
-    expect(page).to_have_url("/")
-    page.clock.run_for(31_000)
-    expect(page.locator(".cover")).to_have_count(0)
 
 
 def test_a_screen_reader_gets_the_lamps_that_are_lit_and_the_names_of_numbers(

@@ -10,10 +10,9 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
+from tests.e2e.pages import PANEL
 from tests.e2e.site import AT_REST, Site, eventually
-from tests.e2e.test_setting import opened, state, writes
-
-PANEL = {"width": 1280, "height": 800}
+from tests.e2e.test_setting import opened, state
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +51,7 @@ def test_a_server_that_ends_in_a_review_sends_nothing(
     site: Site, browser_page: OpensPages, review: Callable[[Page], None], field: str
 ) -> None:
     page = browser_page("engineer", viewport=PANEL)
-    before = writes(site)
+    before = site.writes()
     review(page)
     expect(page.locator("[data-review-act]")).to_be_visible()
     site.stop(signal.SIGKILL)
@@ -67,7 +66,7 @@ def test_a_server_that_ends_in_a_review_sends_nothing(
     expect(ended).to_have_text("The connection to the server was lost during the review. Nothing was sent.")
     expect(ended).to_be_in_viewport(ratio=1)
     expect(page.locator("[data-review-act]")).to_have_count(0)
-    assert writes(site) == before
+    assert site.writes() == before
     if not field:
         return
     if page.locator("dialog[open]").count():

@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
+from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import PROCEDURE_MS, PROCEDURE_S
 from tests.e2e.site import Site, eventually
 
@@ -199,42 +198,6 @@ def responded_since(served: Site, number: int, moment: datetime) -> bool:
     )
 
 
-@pytest.mark.soak
-def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, shared_page: OpensPages) -> None:
-    page = shared_page("engineer", viewport=OFFICE)
-    address = take_set(page)
-    with site.api("engineer") as client:
-        for number, raw in ((6, 33), (9, 444)):
-            assert (
-                client.put(f"/buses/line/units/2/parameters/{number}", json={"raw": raw}).status_code == 200
-            )
-    before = len(writes(site, 0x86))
-    page.goto(address)
-    of_unit(page, "Infeed nip").get_by_role("button", name="Review a restore").click()
-    expect(page.locator("#restore .outcome[role=status]")).to_contain_text("Nothing has been written")
-    assert len(writes(site, 0x86)) == before
-    page.get_by_role("button", name=re.compile("Write 2 rows to unit 2")).click()
-    text = "The unit equals the set, verified by a full read."
-    expect(page.locator("#restore .outcome")).to_have_text(text, timeout=PROCEDURE_MS)
-    expect(page.locator("#announcement")).to_have_text(text)
-    expect(page.get_by_role("heading", name=re.compile("^Read-back"))).to_be_visible()
-    assert len(writes(site, 0x86)) == before + 2
-
-
-@pytest.mark.soak
-def test_a_file_that_is_no_set_is_refused_in_words(
-    site: Site, browser_page: OpensPages, tmp_path: Path
-) -> None:
-    assert site.units == 3
-    wrong = tmp_path / "wrong.toml"
-    wrong.write_text('format = "something else"\n')
-    page = browser_page("engineer", viewport=OFFICE)
-    page.goto("/units/line/2/restore")
-    page.get_by_label("TOML file").set_input_files(wrong)
-    page.get_by_role("button", name="Read the unit and show the differences").click()
-    expect(page.get_by_text("wrong.toml: not a parameter set")).to_be_visible()
-
-
 def test_a_recipe_is_saved_tried_out_and_loaded_as_one_change(site: Site, shared_page: OpensPages) -> None:
     page = shared_page("engineer", viewport=OFFICE)
     page.goto("/recipes")
@@ -343,24 +306,6 @@ def test_what_a_unit_is_already_is_not_written_again(site: Site, shared_page: Op
     page.get_by_role("button", name="Write Preset Speed to 1 unit").click()
     expect(page.get_by_text("1 of 1 unit verified")).to_be_visible()
     assert len(writes(site, 0x86)) == before + 1
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
-@pytest.mark.parametrize(
-    "path",
-    [
-        *("/sets", "/units/line/1/restore", "/batch/line", "/recipes", "/swap/line/1", "/sets/compare"),
-        "/sets/compare?left=live:line:1&right=live:line:2",
-    ],
-)
-def test_accessible_and_as_wide_as_the_screen(
-    shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
-) -> None:
-    page = shared_page("engineer", locale=locale)
-    page.goto(path)
-    expect(page.get_by_role("heading", level=1)).to_be_visible()
-    assert flaws(page, locale) == []
 
 
 @pytest.mark.soak

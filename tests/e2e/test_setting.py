@@ -8,18 +8,11 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
+from tests.e2e import pages
 from tests.e2e.conftest import OpensPages, focus
 from tests.e2e.limits import PAGE_S
+from tests.e2e.pages import PANEL
 from tests.e2e.site import Site, eventually
-
-PANEL = {"width": 1280, "height": 800}
-WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
-
-
-def writes(site: Site) -> list[str]:
-    """Return every request that writes, as the units received it."""
-    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
-    return [entry["hex"] for entry in entries if bytes.fromhex(entry["hex"])[1] in WRITES]
 
 
 def state(site: Site, unit: int) -> dict[str, Any]:
@@ -31,8 +24,7 @@ def state(site: Site, unit: int) -> dict[str, Any]:
 def opened(page: Page, path: str) -> Page:
     """A page whose link is up, of a unit with a value of this second: while no page was open, saves of
     parameters had the wire, and a review of an older value ends at once."""
-    page.goto(path)
-    expect(page.locator("body[data-link=live]")).to_be_attached()
+    pages.opened(page, path)
     if re.fullmatch(r"/units/line/\d+", path):
         expect(page.locator(".plate [data-age]").first).to_have_text(re.compile(r"^0\.\d s$"))
     return page
@@ -45,28 +37,28 @@ def type_on_pad(page: Page, text: str) -> None:
 
 def test_nothing_leaves_before_the_confirm(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/3")
-    before = writes(site)
+    before = site.writes()
     type_on_pad(page, "101.5")
     page.get_by_role("button", name="Set now").click()
     confirm = page.get_by_role("button", name=re.compile(r"^Set .* to 101\.5$"))
     expect(confirm).to_be_visible()
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
-    assert writes(site) == before
+    assert site.writes() == before
     page.get_by_role("button", name="Cancel").click()
     expect(page.locator("[data-review]")).to_have_count(0)
-    assert writes(site) == before
+    assert site.writes() == before
 
     type_on_pad(page, "101.5")
     page.get_by_role("button", name="Set now").click()
     confirm.click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("verified: reads 101.5")
     assert state(site, 3)["setpoint"] == 1015
-    assert len(writes(site)) == len(before) + 1
+    assert len(site.writes()) == len(before) + 1
 
 
 def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/3")
-    before = writes(site)
+    before = site.writes()
     page.locator("#setpoint").fill("99,5")
     page.keyboard.press("Enter")
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
@@ -77,7 +69,7 @@ def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, shared
     expect(page.locator("[data-review]")).to_have_count(1)
     page.keyboard.press("Escape")
     expect(page.locator("[data-review]")).to_have_count(0)
-    assert writes(site) == before
+    assert site.writes() == before
 
 
 def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_page: OpensPages) -> None:
@@ -134,7 +126,7 @@ def test_a_review_ends_when_the_value_has_moved(site: Site, shared_page: OpensPa
 @pytest.mark.provokes("ERR_FAILED", "fetch")
 def test_a_click_without_a_response_has_an_unknown_outcome(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/6")
-    before = writes(site)
+    before = site.writes()
     page.route("**/speed", lambda _: None)
     page.route("**/nudge", lambda route: route.abort())
     page.get_by_role("button", name="Set now").click()
@@ -146,24 +138,7 @@ def test_a_click_without_a_response_has_an_unknown_outcome(site: Site, browser_p
     page.evaluate("document.dispatchEvent(new CustomEvent('lineside:found'))")
     page.locator(".nudges button").first.click()
     expect(page.locator("#setpoint-error")).to_contain_text("result is not known")
-    assert writes(site) == before
-
-
-@pytest.mark.soak
-def test_out_of_range_is_refused_with_the_nearest(site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page(viewport=PANEL), "/units/line/3")
-    before = writes(site)
-    page.locator("#setpoint").fill("99999")
-    page.get_by_role("button", name="Set now").click()
-    expect(page.locator("#setpoint-error")).to_contain_text("outside 0.0 to 200.0")
-    page.get_by_role("button", name="Use 200.0").click()
-    expect(page.locator("#setpoint")).to_have_value("200.0")
-    page.locator("#setpoint").fill("")
-    page.get_by_role("button", name="Set now").click()
-    expect(page.locator("#setpoint-error")).to_contain_text("empty is not zero")
-    page.locator("#setpoint").fill("1")
-    expect(page.locator("#setpoint-error")).to_be_empty()
-    assert writes(site) == before
+    assert site.writes() == before
 
 
 @pytest.mark.soak
@@ -174,19 +149,19 @@ def test_a_review_lapses_after_half_a_minute(site: Site, browser_page: OpensPage
         window.setTimeout = (what, ms, ...more) => wait(what, ms === 30_000 ? 1000 : ms, ...more);"""
     )
     opened(page, "/units/line/3")
-    before = writes(site)
+    before = site.writes()
     page.locator("#setpoint").fill("90.0")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-end]")).to_have_text("30 s have passed. Nothing was sent.")
     expect(page.locator("[data-review]")).to_have_count(0)
     expect(page.locator("#setpoint")).to_have_value("90.0")
-    assert writes(site) == before
+    assert site.writes() == before
 
 
 @pytest.mark.soak
 def test_paste_works_and_scrolling_changes_nothing(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/3")
-    before = writes(site)
+    before = site.writes()
     field = page.locator("#setpoint")
     field.focus()
     page.evaluate(
@@ -206,7 +181,7 @@ def test_paste_works_and_scrolling_changes_nothing(site: Site, shared_page: Open
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_have_text(re.compile(r"to 92\.5$"))
     page.get_by_role("button", name="Cancel").click()
-    assert writes(site) == before
+    assert site.writes() == before
 
 
 @pytest.mark.soak
@@ -221,13 +196,13 @@ def test_the_pad_by_touch_erases_and_never_grows_beyond_the_field(
     for _ in range(6):
         page.locator('[data-pad="erase"]').tap()
     expect(field).to_have_value("")
-    before = writes(site)
+    before = site.writes()
     page.get_by_role("button", name="Set now").tap()
     expect(page.locator("#setpoint-error")).not_to_be_empty()
     boxes = page.locator(".pad button, .setter__acts button, .nudges button").evaluate_all(
         "all => all.map(one => one.getBoundingClientRect()).map(box => Math.min(box.width, box.height))"
     )
-    assert (min(boxes) >= 48, writes(site)) == (True, before)
+    assert (min(boxes) >= 48, site.writes()) == (True, before)
 
 
 def test_by_touch_every_number_has_a_pad_that_names_it_and_its_limits(shared_page: OpensPages) -> None:
@@ -263,32 +238,6 @@ def test_a_refused_parameter_value_offers_the_nearest(shared_page: OpensPages) -
     expect(row.locator("[name=value]")).to_be_focused()
 
 
-@pytest.mark.soak
-def test_a_small_nudge_needs_no_review(site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page(viewport=PANEL), "/units/line/7")
-    was = state(site, 7)["setpoint"]
-    page.get_by_role("button", name="Up by 0.2").click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text("verified")
-    assert state(site, 7)["setpoint"] == was + 2
-    expect(page.get_by_role("button", name=f"Undo: set {was / 10:.1f}")).to_be_visible()
-
-
-@pytest.mark.soak
-def test_staging_changes_nothing_until_executed(site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page(viewport=PANEL), "/units/line/8")
-    was = state(site, 8)["setpoint"]
-    page.locator("#setpoint").fill("91.0")
-    page.get_by_role("button", name="Stage…", exact=True).click()
-    page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
-    assert state(site, 8)["setpoint"] == was
-    expect(page.locator('[data-live="line/8.staged"]').first).to_have_text("91.0")
-    page.get_by_role("button", name="Execute staged").click()
-    page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_be_visible()
-    eventually(lambda: state(site, 8)["setpoint"] == 910, "the staged speed executed")
-
-
 def test_discard_leaves_nothing_staged_while_an_input_stands_above_the_setpoint(
     site: Site, shared_page: OpensPages
 ) -> None:
@@ -311,17 +260,6 @@ def test_discard_leaves_nothing_staged_while_an_input_stands_above_the_setpoint(
             site.line.remote.do("input", unit=unit, input=input, on=False)
 
 
-@pytest.mark.soak
-def test_an_output_is_switched_behind_a_review(site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page(viewport=PANEL), "/units/line/2")
-    was = state(site, 2)["outputs"]
-    page.get_by_role("button", name="Switch output 1").click()
-    expect(page.locator("[data-review-act]")).to_contain_text("output 1")
-    page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text("verified: output 1 is on")
-    assert state(site, 2)["outputs"] == [True, *was[1:]]
-
-
 def test_a_unit_in_local_disables_the_controls_and_shows_why(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/1")
     page.get_by_role("button", name="Set now").click()
@@ -341,7 +279,7 @@ def test_a_unit_in_local_disables_the_controls_and_shows_why(site: Site, shared_
 
 def test_several_units_are_one_change(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/setpoints")
-    before = writes(site)
+    before = site.writes()
     former = [state(site, unit)["setpoint"] for unit in (3, 4)]
     for unit, text in ((3, "70.0"), (4, "71.0")):
         page.locator(f'[name="new-{unit}"]').fill(text)
@@ -350,7 +288,7 @@ def test_several_units_are_one_change(site: Site, shared_page: OpensPages) -> No
     # An older change of another unit may be offered where this one is over.
     undo = page.get_by_role("button", name="Undo: set the former setpoints")
     expect(act).to_be_visible()
-    assert writes(site) == before
+    assert site.writes() == before
     act.click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("reads 71.0")
     assert (state(site, 3)["setpoint"], state(site, 4)["setpoint"]) == (700, 710)
@@ -404,7 +342,7 @@ def test_a_parameter_is_written_and_its_row_shows_it(site: Site, shared_page: Op
 
 def test_a_dangerous_parameter_wants_a_word(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
-    before = writes(site)
+    before = site.writes()
     row = page.locator("#parameter-19")
     row.locator("[name=value]").select_option("Local")
     row.get_by_role("button", name="Write").click()
@@ -413,40 +351,7 @@ def test_a_dangerous_parameter_wants_a_word(site: Site, shared_page: OpensPages)
     page.locator("[data-typed]").fill("WRITE")
     expect(act).to_be_enabled()
     page.get_by_role("button", name="Cancel").click()
-    assert writes(site) == before
-
-
-@pytest.mark.soak
-def test_a_block_is_shown_and_lifted(site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page(viewport=PANEL), "/units/line/7")
-    page.get_by_role("button", name="Set now").click()
-    expect(page.locator("[data-review-act]")).to_be_visible()
-    with site.api("engineer") as client:
-        client.post("/buses/line/units/7/block", json={"reason": "belt off since 14:20"})
-    expect(page.locator("#setpoint")).to_have_count(0)
-    expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
-    opened(page, "/")
-    expect(page.locator(".well")).to_contain_text("belt off since 14:20")
-    opened(page, "/units/line/7")
-    page.locator("summary").click()
-    page.get_by_role("button", name=re.compile("^Lift ")).click()
-    expect(page.locator("#setpoint")).to_be_visible()
-
-
-@pytest.mark.soak
-def test_the_line_goes_to_zero(site: Site, shared_page: OpensPages) -> None:
-    eventually(lambda: all(site.unit(unit)["link"] == "online" for unit in range(1, 9)), "every unit online")
-    page = opened(shared_page(viewport=PANEL), "/")
-    page.get_by_role("button", name="Set line to zero").click()
-    page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text("8 units accepted speed 0")
-    assert {state(site, unit)["setpoint"] for unit in range(1, 9)} == {0}
-    opened(page, "/units/line/1")
-    expect(page.locator("#setpoint")).to_have_value("0.0")
-    page.get_by_role("button", name="Down by 2.0").click()
-    expect(page.locator("#setpoint-error")).to_contain_text("cannot go below 0")
-    page.get_by_role("button", name="Use 0.0").click()
-    expect(page.locator("#setpoint")).to_have_value("0.0")
+    assert site.writes() == before
 
 
 def test_a_unit_that_is_blocked_meanwhile_has_no_field_among_the_setpoints(

@@ -11,12 +11,10 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import AXE_LOOKS, AXE_RULES, ENGLISH, GERMAN, OpensPages
-from tests.e2e.pages import FITTED, opened
+from tests.e2e.pages import FITTED, PANEL, PHONE, opened
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.sizes import sizes
 
-PHONE = {"width": 360, "height": 740}
-PANEL = {"width": 1280, "height": 800}
 WALL = {"width": 1920, "height": 1080}
 TARGET = 48
 REASON = (
@@ -42,6 +40,13 @@ BEHIND = """() => {
   return one.matches(".skip") || one.contains(seen) || seen?.contains(one) ? "" : said;
 }"""
 """What hides the middle of the element with the focus; null where nothing has it."""
+
+HIDDEN_TO_THE_SIDE = """() => [...document.querySelectorAll("html, main .table-wrap")]
+  .filter((each) => each.scrollWidth > each.clientWidth + 1).map((each) => each.ariaLabel)"""
+FOR_A_PHONE = (
+    *("/?view=tiles", "/units/line/1", "/setpoints", "/units/line/1/parameters", "/bus/line", "/users"),
+    *("/account", "/nothing", "/events", "/sets", "/sets/compare", "/recipes", "/batch/line"),
+)
 
 Axe = Callable[..., list[str]]
 Flaws = Callable[[Page, str], list[str]]
@@ -192,10 +197,15 @@ def test_an_undo_that_has_lapsed_is_accessible(
 
 
 @pytest.mark.soak
-def test_what_a_glove_presses_is_large_enough(browser_page: OpensPages) -> None:
-    page = browser_page("engineer", viewport=PHONE, is_mobile=True, has_touch=True)
-    for path in ("/?view=tiles", "/units/line/1", "/setpoints", "/units/line/1/parameters"):
-        assert opened(page, path).evaluate(TOO_SMALL, TARGET) == [], path
+def test_what_a_glove_presses_is_large_enough_and_nothing_is_hidden_to_the_side(
+    browser_page: OpensPages,
+) -> None:
+    page = browser_page("admin", viewport=PHONE, is_mobile=True, has_touch=True)
+    for path in FOR_A_PHONE:
+        page.goto(path)
+        expect(page.locator("h1").first).to_be_attached()
+        assert page.evaluate(TOO_SMALL, TARGET) == [], path
+        assert page.evaluate(HIDDEN_TO_THE_SIDE) == [], path
 
 
 CUT_OFF = """() => [...document.querySelectorAll(

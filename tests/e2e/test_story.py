@@ -11,23 +11,10 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
-from tests.e2e.site import AT_REST, Site, eventually
-from tests.e2e.test_alarm_list import NO_TENSION_ALARM
+from tests.e2e.pages import PANEL, PHONE, count_shifts, opened, shifts
+from tests.e2e.site import AT_REST, NO_TENSION_ALARM, Site, eventually
 from tests.sizes import in_turn
 
-PANEL = {"width": 1280, "height": 800}
-PHONE = {"width": 360, "height": 740}
-COUNT_SHIFTS = """() => {
-  window.shifted = [];
-  const moved = (from, to) => ["left", "top"].some((side) => Math.abs(from[side] - to[side]) >= 1);
-  new PerformanceObserver((list) => {
-    for (const entry of list.getEntries())
-      for (const { node, previousRect: from, currentRect: to } of entry.sources)
-        if (moved(from, to))
-          window.shifted.push([node?.outerHTML?.slice(0, 160), from.toJSON(), to.toJSON()]);
-  }).observe({ type: "layout-shift" });
-}"""
-"""Every part that the browser itself saw moving, also just after a press; a text that grows has not moved."""
 SPOKEN = """root => {
   const seen = { visibilityProperty: true };
   const hidden = (each) => each.closest("[aria-hidden=true]") || !each.checkVisibility(seen);
@@ -58,12 +45,6 @@ def site(line_server: Callable[..., Site]) -> Site:
     return line_server(8, line_options=AT_REST, toml=NO_TENSION_ALARM)
 
 
-def opened(page: Page, path: str) -> Page:
-    page.goto(path)
-    expect(page.locator("body[data-link=live]")).to_be_attached()
-    return page
-
-
 def is_shown(page: Page, unit: int, level: str) -> None:
     expect(page.locator(f'[data-unit="line/{unit}"]').first).to_have_attribute("data-is", level)
 
@@ -79,7 +60,7 @@ def test_nothing_moves_while_the_story_runs(
     path, size = shown
     page = opened(shared_page("operator", viewport=size, locale=locale), path)
     page.wait_for_load_state("networkidle")
-    page.evaluate(COUNT_SHIFTS)
+    count_shifts(page, sides=("left", "top"))
     remote = site.line.remote
     try:
         remote.do("input", unit=2, input="estop", on=True)
@@ -108,7 +89,7 @@ def test_nothing_moves_while_the_story_runs(
         remote.do("mode", unit=7, to="remote")
     for unit in (2, 5, 7):
         is_shown(page, unit, "")
-    assert page.evaluate("window.shifted") == []
+    assert shifts(page) == []
 
 
 def test_eight_units_and_the_verdict_are_in_the_first_screen_of_a_phone(

@@ -5,19 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from itertools import groupby
-from typing import Any
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus
 from tests.e2e.limits import PAGE_MS, UNIT_MS
+from tests.e2e.pages import PANEL, PHONE, opened
 from tests.e2e.site import AT_REST, Site, eventually
 
-PANEL = {"width": 1280, "height": 800}
-PHONE = {"width": 360, "height": 740}
 UNITS = 12
-WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
 
 
 @pytest.fixture(scope="module")
@@ -29,25 +26,17 @@ def site(line_server: Callable[..., Site]) -> Site:
 @pytest.fixture
 def page(shared_page: OpensPages) -> Page:
     """The setpoints of the line, of an engineer with an empty tray."""
-    opened = shared_page("engineer", viewport=PANEL)
-    goto(opened, "/tray")
-    empty = opened.get_by_role("button", name="Empty the tray")
+    page = opened(shared_page("engineer", viewport=PANEL), "/tray")
+    empty = page.get_by_role("button", name="Empty the tray")
     if empty.count():
         empty.click()
-        expect(opened.get_by_text("The change tray is empty")).to_be_visible()
-    return opened
-
-
-def goto(page: Page, path: str) -> None:
-    page.goto(path)
-    expect(page.locator("body[data-link=live]")).to_be_attached()
+        expect(page.get_by_text("The change tray is empty")).to_be_visible()
+    return page
 
 
 def writes(site: Site) -> list[int]:
     """The function code of every request that writes; each unit receives a broadcast."""
-    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
-    frames = [frame for entry in entries if (frame := bytes.fromhex(entry["hex"]))[1] in WRITES]
-    return [frame[1] for frame, _ in groupby(frames)]
+    return [bytes.fromhex(frame)[1] for frame, _ in groupby(site.writes())]
 
 
 def strip(page: Page) -> Locator:
@@ -55,7 +44,7 @@ def strip(page: Page) -> Locator:
 
 
 def add_setpoint(page: Page, unit: int, value: str) -> None:
-    goto(page, f"/units/line/{unit}")
+    opened(page, f"/units/line/{unit}")
     page.locator("#setpoint").fill(value)
     page.locator(".setter").get_by_role("button", name="Add to tray").click()
     expect(page.locator("#setpoint-error [data-added]")).to_be_visible()
@@ -107,14 +96,14 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
     expect(page.locator("#outputs-result [data-added]")).to_be_visible()
     expect(page.locator("[data-review]")).to_have_count(0)
 
-    goto(page, "/units/line/4/parameters")
+    opened(page, "/units/line/4/parameters")
     page.locator("#parameter-12 input[name=value]").fill("1.5")
     page.locator("#parameter-12").get_by_role("button", name="Write").click()
     page.locator("#review").get_by_role("button", name="Add to tray").click()
     expect(page.locator("#parameter-12-error [data-added]")).to_be_visible()
     expect(page.locator("#review")).to_be_hidden()
 
-    goto(page, "/setpoints")
+    opened(page, "/setpoints")
     page.locator('[name="new-4"]').fill("91.0")
     page.locator('[name="new-5"]').fill("92.0")
     page.get_by_role("button", name="Add to tray").click()
@@ -149,7 +138,7 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
 
 @pytest.mark.soak
 def test_twelve_units_take_six_presses_and_the_number(site: Site, page: Page) -> None:
-    goto(page, "/")
+    opened(page, "/")
     presses = 0
 
     def press(target: Locator) -> None:
@@ -172,49 +161,8 @@ def test_twelve_units_take_six_presses_and_the_number(site: Site, page: Page) ->
     assert {site.unit(unit)["commanded"] for unit in range(1, UNITS + 1)} == {"80.0"}
 
 
-@pytest.mark.soak
-def test_a_change_of_several_leaves_a_unit_out_by_name(
-    site: Site, page: Page, local: Callable[[int], None]
-) -> None:
-    was = site.unit(2)["commanded"]
-    goto(page, "/setpoints")
-    for unit in (1, 2):
-        page.locator(f'[name="new-{unit}"]').fill("70.0")
-    local(2)
-    page.get_by_role("button", name="Review the change").click()
-    page.get_by_label("Leave out Infeed nip").check()
-    page.get_by_role("button", name="Set 1 unit now").click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text(
-        "left out: not in REMOTE", timeout=UNIT_MS
-    )
-    assert [site.unit(unit)["commanded"] for unit in (1, 2)] == ["70.0", was]
-
-
-@pytest.mark.soak
-def test_a_value_that_moves_during_the_review_ends_it(site: Site, page: Page) -> None:
-    site.set_speed(6, value="60.0")
-    add_setpoint(page, 6, "61.0")
-    review(page)
-    sent = len(writes(site))
-    site.set_speed(6, value="62.0")
-    expect(page.locator("[data-review-end]")).to_contain_text("Nothing was sent")
-    assert len(writes(site)) == sent + 1
-    assert site.unit(6)["commanded"] == "62.0"
-
-
-@pytest.mark.soak
-def test_a_double_tap_sends_once(site: Site, page: Page) -> None:
-    add_setpoint(page, 7, "71.0")
-    review(page)
-    sent = len(writes(site))
-    page.locator("[data-review-act]").dblclick()
-    expect(page.locator("[data-review-done=good]")).to_contain_text("1 change made", timeout=UNIT_MS)
-    assert writes(site)[sent:] == [0x84]
-    expect(strip(page).locator("a")).to_have_count(0)
-
-
 def test_the_keyboard_alone_gathers_reviews_and_sends(site: Site, page: Page) -> None:
-    goto(page, "/units/line/9")
+    opened(page, "/units/line/9")
     focus(page.locator("#setpoint"))
     page.keyboard.type("73.0")
     page.locator(".setter").get_by_role("button", name="Add to tray").press("Enter")
@@ -233,7 +181,7 @@ def test_control_that_passes_on_keeps_the_tray_and_sends_nothing(
 ) -> None:
     site = line_server(2, line_options=AT_REST, toml="[site]\ncontrol = true\n")
     page, other = (browser_page(role, site, viewport=PANEL) for role in ("operator", "engineer"))
-    goto(other, "/")
+    opened(other, "/")
     add_setpoint(page, 1, "71.0")
     head = page.locator("[data-head-control]")
     head.get_by_role("button", name="Take control").click()
@@ -252,7 +200,7 @@ def test_control_that_passes_on_keeps_the_tray_and_sends_nothing(
 def test_another_window_follows_when_it_is_looked_at(page: Page, browser_page: OpensPages) -> None:
     add_setpoint(page, 8, "81.0")
     other = browser_page("engineer", viewport=PANEL)
-    goto(other, "/alarms")
+    opened(other, "/alarms")
     expect(strip(other)).to_contain_text(re.compile(r"1 change\W+1 unit"))
     add_setpoint(page, 9, "82.0")
     other.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
@@ -266,13 +214,13 @@ def test_a_restore_and_a_recipe_go_to_the_tray(site: Site, page: Page) -> None:
         stored = client.post("/buses/line/sets", json={"units": [2]}).json()
         client.put("/buses/line/units/2/parameters/12", json={"raw": 33}).raise_for_status()
         planned = client.post("/buses/line/units/2/restores", json={"set": stored["id"]}).json()
-    goto(page, f"/recipes/{saved.json()['id']}?bus=line")
+    opened(page, f"/recipes/{saved.json()['id']}?bus=line")
     page.get_by_role("button", name="Add to tray").click()
     expect(strip(page)).to_contain_text("2 changes")
-    goto(page, f"/restores/{planned['id']}")
+    opened(page, f"/restores/{planned['id']}")
     page.get_by_role("button", name="Add to tray").click()
     expect(strip(page)).to_contain_text("3 changes")
-    goto(page, "/tray")
+    opened(page, "/tray")
     expect(page.locator("main")).to_contain_text("Up to Speed Tolerance (parameter 12)")
     page.get_by_role("button", name="Remove Setpoint of Unwind from the tray").click()
     expect(strip(page)).to_contain_text("2 changes")
@@ -291,7 +239,7 @@ def test_the_tray_is_accessible_and_covers_nothing_for_good(
         add_setpoint(page, unit, f"{60 + unit}.0")
     local(2)
     shown = browser_page("engineer", viewport=PHONE, locale=locale)
-    goto(shown, "/tray")
+    opened(shown, "/tray")
     assert flaws(shown, locale) == []
     shown.set_viewport_size(PHONE)
     shown.evaluate("scrollTo(0, document.documentElement.scrollHeight)")

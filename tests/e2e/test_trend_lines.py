@@ -13,9 +13,9 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from tests.e2e.conftest import OpensPages
+from tests.e2e.pages import PANEL
 from tests.e2e.site import Site
 
-OFFICE = {"width": 1280, "height": 800}
 FROM, LENGTH = 1_700_000_000, 100
 Color = tuple[float, float, float]
 LINES = """canvas => {
@@ -123,7 +123,7 @@ def opened(page: Page, found: list[dict[str, Any]], more: str = "") -> list[str]
 @pytest.mark.soak
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_eight_lines_differ_for_every_eye(browser_page: OpensPages, scheme: Literal["light", "dark"]) -> None:
-    page = browser_page("viewer", viewport=OFFICE, color_scheme=scheme)
+    page = browser_page("viewer", viewport=PANEL, color_scheme=scheme)
     opened(page, [flat(place, "commanded" if place == 3 else "actual") for place in range(8)])
     lines = lines_of(page)
     assert len(lines) == 8
@@ -135,7 +135,7 @@ def test_eight_lines_differ_for_every_eye(browser_page: OpensPages, scheme: Lite
 
 @pytest.mark.soak
 def test_a_line_is_dimmed_compared_and_what_was_not_read_is_in_words(browser_page: OpensPages) -> None:
-    page = browser_page("viewer", viewport=OFFICE)
+    page = browser_page("viewer", viewport=PANEL)
     requested = opened(page, [flat(0, begins=50)])
     expect(page.locator("#trend-unread")).to_have_text(
         re.compile(r"No readings before 14 Nov 2023|\d\d:\d\d")
@@ -154,7 +154,7 @@ def test_a_line_is_dimmed_compared_and_what_was_not_read_is_in_words(browser_pag
 
 @pytest.mark.soak
 def test_a_note_is_written_on_the_chart_and_a_view_is_kept(site: Site, browser_page: OpensPages) -> None:
-    page = browser_page("operator", viewport=OFFICE)
+    page = browser_page("operator", viewport=PANEL)
     page.goto("/trends?s=line/2/actual&span=600")
     expect(page.locator("#trends[data-drawn]")).to_be_attached()
     page.get_by_text("Write a note").click()

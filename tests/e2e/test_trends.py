@@ -117,18 +117,6 @@ def test_the_history_equals_what_the_unit_sent(site: Site) -> None:
     assert set(found["avg"][place:]) == {(raw + 55) / 10}
 
 
-@pytest.mark.soak
-def test_a_unit_that_did_not_respond_leaves_a_gap_and_its_neighbor_none(site: Site) -> None:
-    site.line.remote.do("fault", kind="dead", rate=1, unit=4)
-    eventually(lambda: site.unit(4)["link"] == "offline", "unit 4 is lost")
-    site.line.remote.do("clear")
-    eventually(lambda: site.unit(4)["link"] == "online", "unit 4 is back")
-    eventually(lambda: None in history(site, "actual", 60, 4)["avg"][1:-1], "the hole")
-    found = history(site, "actual", 60, 4)
-    assert found["avg"].count(None) == found["min"].count(None) == found["max"].count(None) >= 1
-    assert None not in history(site, "actual", 30, 5)["avg"]
-
-
 def test_the_page_draws_and_follows_now(shared_page: OpensPages) -> None:
     page = opened(shared_page("viewer", viewport=OFFICE))
     expect(page.locator("#trend-values tr")).to_have_count(8)
@@ -141,24 +129,6 @@ def test_the_page_draws_and_follows_now(shared_page: OpensPages) -> None:
     page.locator("[data-preset=shift]").click()
     expect(page.locator("[data-preset=shift]")).to_have_attribute("aria-pressed", "true")
     assert view_of(page)["preset"] == "shift"
-
-
-@pytest.mark.soak
-def test_a_link_reopens_the_same_view(browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
-    page.locator("#trend-add select[name=unit]").select_option("line/3")
-    page.locator("#trend-add select[name=value]").select_option("run")
-    page.locator("#trend-add button").click()
-    page.locator("#trend-scale").select_option("own")
-    page.locator('[data-move="in"]').click()
-    page.locator("#trend-marks").uncheck()
-    expect(page.locator("#trend-values tr")).to_have_count(2)
-    expect(page.locator("#trend-plot .trends__bit")).to_have_count(1)
-    again = opened(browser_page("viewer", viewport=OFFICE), page.evaluate("location.search"))
-    expect(again.locator("#trend-values tr")).to_have_count(2)
-    expect(again.locator("#trend-scale")).to_have_value("own")
-    expect(again.locator("#trend-marks")).not_to_be_checked()
-    assert view_of(again)["span"] == "300"
 
 
 def test_wheel_drag_and_keys_move_the_picture(shared_page: OpensPages) -> None:
@@ -318,23 +288,13 @@ def test_the_legend_reads_at_the_cursor(site: Site, shared_page: OpensPages) -> 
     assert float(value.inner_text().split()[0]) == site.unit(1)["commanded_raw"] / 10
 
 
-@pytest.mark.soak
-def test_what_happened_is_listed_beside_the_picture(site: Site, shared_page: OpensPages) -> None:
-    raw = site.unit(3)["commanded_raw"]
-    site.set_speed(3, raw=raw + 10)
-    page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/3/actual&span=600")
-    page.locator("#trend-events summary").click()
-    expect(page.locator("#trend-events-list li").filter(has_text="Coater").first).to_be_visible()
-
-
 def test_an_alarm_is_marked_in_the_picture_and_listed(site: Site, shared_page: OpensPages) -> None:
     def marked() -> bool:
         with site.api("viewer") as client:
             found = client.get("/alarms/occurrences", params={"unit": "line/2"}).json()
         return any(each["code"] == "estop_active" for each in found["occurrences"])
 
-    site.line.remote.do("input", unit=2, input="estop", on=True)
-    try:
+    with site.line.stopped(2):
         eventually(marked, "the alarm in the journal")
         page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/2/actual&span=600")
         listed = page.locator("#trend-alarms-list li").filter(has_text="Emergency stop")
@@ -344,8 +304,6 @@ def test_an_alarm_is_marked_in_the_picture_and_listed(site: Site, shared_page: O
         expect(page.locator("#trend-alarms-list button:focus")).to_contain_text("Emergency stop")
         page.locator("#trend-marks").uncheck()
         expect(mark).to_have_count(0)
-    finally:
-        site.line.remote.do("input", unit=2, input="estop", on=False)
 
 
 @pytest.mark.soak

@@ -10,18 +10,16 @@ import signal
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import pytest
 from playwright.sync_api import expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import START_MS
-from tests.e2e.pages import LIVE, opened
+from tests.e2e.pages import LIVE, PANEL, opened
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.sizes import sizes
 
-PANEL = {"width": 1280, "height": 800}
 LOST = "body[data-link=lost]"
 
 
@@ -29,12 +27,6 @@ LOST = "body[data-link=lost]"
 def own_site(line_server: Callable[..., Site]) -> Site:
     """Three units, for tests that hurt the server."""
     return line_server(3, line_options=AT_REST, turnaround_ms=250)
-
-
-def received_writes(site: Site) -> int:
-    """Return how many requests that write the units have received."""
-    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
-    return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
 
 
 def workers(site: Site) -> list[int]:
@@ -98,7 +90,7 @@ def test_a_server_that_does_not_respond_disables_the_controls_and_the_page_recov
     own_site: Site, shared_page: OpensPages
 ) -> None:
     page = opened(shared_page(site=own_site, viewport=PANEL), "/units/line/1")
-    before = received_writes(own_site)
+    before = own_site.writes()
     page.locator("#setpoint").fill("55.5")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
@@ -115,7 +107,7 @@ def test_a_server_that_does_not_respond_disables_the_controls_and_the_page_recov
     expect(page.locator(LIVE)).to_be_attached()
     expect(page.locator("#setpoint")).to_have_value("55.5")
     expect(page.locator("[data-review]")).to_have_count(0)
-    assert received_writes(own_site) == before
+    assert own_site.writes() == before
 
 
 CLICKED_EARLY = """async (pressed) => {
@@ -145,7 +137,7 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
     own_site: Site, browser_page: OpensPages
 ) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
-    before = received_writes(own_site)
+    before = own_site.writes()
     page.locator("#setpoint").fill("44.5")
     page.get_by_role("button", name="Set now").click()
     act = page.locator("[data-review-act]")
@@ -156,7 +148,7 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
     )
     act.click()
     expect(page.locator("#setpoint-error [role=alert]")).to_contain_text("too late")
-    assert received_writes(own_site) == before
+    assert own_site.writes() == before
 
 
 @pytest.mark.provokes("WebSocket")
@@ -219,7 +211,7 @@ def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
     page.locator("#setpoint").fill("38.5")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
-    before = received_writes(own_site)
+    before = own_site.writes()
     devtools = page.context.new_cdp_session(page)
     other = page.context.new_page()
     other.bring_to_front()
@@ -230,7 +222,7 @@ def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
     expect(page.locator(LIVE)).to_be_attached()
     expect(page.locator('[data-live="line/3.commanded"]').first).to_have_text("36.6")
     expect(page.locator("[data-review-act]")).to_have_count(0)
-    assert received_writes(own_site) == before + 1
+    assert len(own_site.writes()) == len(before) + 1
 
 
 @pytest.mark.soak

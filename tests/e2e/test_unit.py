@@ -12,11 +12,11 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.pages import opened
+from tests.e2e.pages import PANEL, opened
 from tests.e2e.site import Site, eventually
 from tests.sizes import sizes
 
-PANEL, PHONE = {"width": 1280, "height": 800}, {"width": 360, "height": 800}
+PHONE = {"width": 360, "height": 800}
 PARTS = {
     1280: [
         *(".cause", ".plate__now", ".plate__ladder", ".plate__set", ".plate__trend", ".plate__inputs"),
@@ -66,8 +66,7 @@ def test_a_stopped_unit_names_its_broken_rung_and_an_alarm_one_press_from_its_re
     site: Site, shared_page: OpensPages
 ) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/2")
-    site.line.remote.do("input", unit=2, input="estop", on=True)
-    try:
+    with site.line.stopped(2):
         expect(page.locator(".ladder")).to_have_attribute("data-is", "e-stop urgent")
         expect(page.locator(".ladder__broken:visible")).to_have_count(1)
         expect(page.locator(".cause")).to_contain_text("Stopped: emergency stop active")
@@ -79,8 +78,6 @@ def test_a_stopped_unit_names_its_broken_rung_and_an_alarm_one_press_from_its_re
         assert box["height"] >= 48
         alarm.click()
         expect(page.get_by_text("Go to the machine, find the reason")).to_be_visible()
-    finally:
-        site.line.remote.do("input", unit=2, input="estop", on=False)
 
 
 def test_a_speed_is_set_by_three_presses_and_the_number_with_nothing_to_close(

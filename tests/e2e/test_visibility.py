@@ -40,31 +40,23 @@ def opened(page: Page) -> Page:
     return page
 
 
-def show_two(page: Page) -> None:
+def show_two(page: Page, *texts: str) -> None:
     """Apply two changes of the first and the last unit; the second of the last, outside the window, is not
     drawn yet.
     """
-    first, last = page.evaluate(SHOW, ["11.1", "22.2"])
-    assert first == "22.2"
-    assert last != "22.2"
+    first, last = page.evaluate(SHOW, texts)
+    assert first == texts[1]
+    assert last != texts[1]
 
 
 @pytest.mark.soak
-def test_a_unit_outside_the_window_is_drawn_a_second_later(browser_page: OpensPages) -> None:
+def test_a_unit_outside_the_window_is_drawn_within_a_second_and_at_once_on_paper_and_in_view(
+    browser_page: OpensPages,
+) -> None:
     page = opened(browser_page("viewer", viewport=PHONE))
-    show_two(page)
+    show_two(page, "11.1", "22.2")
     expect(page.locator(f'[data-live="{LAST}.actual"]')).to_contain_text("22.2")
-
-
-@pytest.mark.soak
-def test_a_unit_scrolled_into_view_is_current_in_that_frame(browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport=PHONE))
-    show_two(page)
-    assert page.evaluate(SCROLLED) == "22.2"
-
-
-@pytest.mark.soak
-def test_paper_shows_the_present(browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport=PHONE))
-    show_two(page)
-    assert page.evaluate(PRINTED) == "22.2"
+    show_two(page, "33.3", "44.4")
+    assert page.evaluate(PRINTED) == "44.4"
+    show_two(page, "55.5", "66.6")
+    assert page.evaluate(SCROLLED) == "66.6"
