@@ -17,12 +17,17 @@ from tests.e2e.test_screen import opened
 from tests.sizes import sizes
 
 
-def test_the_page_shows_the_units_values(site: Site, shared_page: OpensPages) -> None:
-    page = shared_page("viewer", viewport=PANEL)
-    page.goto("/")
+def test_the_page_shows_the_units_values_and_its_legend_is_one_key_away(
+    site: Site, shared_page: OpensPages
+) -> None:
+    page = opened(shared_page("viewer", viewport=PANEL, locale=ENGLISH), "/")
     for unit in range(1, 9):
         raw = site.line.remote.do("state", unit=unit)["commanded"]
         expect(page.locator(f'[data-live="line/{unit}.commanded"]').first).to_have_text(f"{raw / 10:.1f}")
+    page.keyboard.press("?")
+    expect(page.locator("#legend")).to_contain_text("Only an outline")
+    page.keyboard.press("Escape")
+    expect(page.locator("#legend")).to_be_hidden()
 
 
 @pytest.mark.soak
@@ -59,6 +64,7 @@ def test_a_user_is_added_given_a_role_disabled_and_removed(
     expect(row).to_have_count(0)
 
 
+@pytest.mark.soak
 def test_it_can_be_installed(browser_page: OpensPages) -> None:
     page = browser_page(viewport=PANEL, service_workers="allow")
     page.goto("/")
@@ -109,14 +115,6 @@ def test_a_phone_has_the_other_pages_one_press_away(
     assert flaws(page, ENGLISH) == []
     recipes.click()
     page.wait_for_url("**/recipes", timeout=PAGE_MS)
-
-
-def test_the_legend_is_one_key_away(shared_page: OpensPages) -> None:
-    page = opened(shared_page("viewer", viewport=PANEL, locale=ENGLISH), "/")
-    page.keyboard.press("?")
-    expect(page.locator("#legend")).to_contain_text("Only an outline")
-    page.keyboard.press("Escape")
-    expect(page.locator("#legend")).to_be_hidden()
 
 
 # --- the wallboard: readable across the hall, complete in one window ----------------------------------

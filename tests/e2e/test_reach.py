@@ -13,7 +13,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from app.main import FEATURES
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
-from tests.e2e.pages import FITTED, NEEDS_MORE, NO_PAGES, PAGES, WALKED, opened
+from tests.e2e.pages import FITTED, NEEDS_MORE, NO_PAGES, PAGES, PANEL, WALKED, opened
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.sizes import sizes
 
@@ -71,6 +71,9 @@ def test_nothing_lies_over_what_can_be_pressed(shared_page: OpensPages, path: st
         page.set_viewport_size({"width": width, "height": 600})
         page.evaluate(FITTED)
         assert page.evaluate(COVERED) == [], width
+    page.set_viewport_size(PANEL)
+    overflow = "rail => rail.scrollHeight - rail.clientHeight"
+    assert page.locator(".rail").evaluate_all(f"rails => rails.map({overflow})") in ([], [0])
 
 
 def test_every_page_is_walked() -> None:
@@ -120,7 +123,9 @@ def test_a_group_change_opens_at_its_head_and_its_result_at_the_verdict(
 
 
 @pytest.mark.parametrize("width", sizes(360, 820, 1280, 1920))
-def test_a_change_of_many_units_is_one_row_that_fits(shared_page: OpensPages, axe: Axe, width: int) -> None:
+def test_a_change_of_many_units_is_one_row_that_fits_and_on_paper_has_all_of_them(
+    shared_page: OpensPages, axe: Axe, width: int
+) -> None:
     page = opened(shared_page("viewer", viewport={"width": width, "height": 900}), "/events?kind=command")
     parts = page.locator(".event__parts", has_text="8 units: 8 verified").last
     expect(parts).to_be_visible()
@@ -136,14 +141,11 @@ def test_a_change_of_many_units_is_one_row_that_fits(shared_page: OpensPages, ax
     assert page.evaluate(TOO_WIDE) == []
     assert page.evaluate(CUT) == []
     assert axe(page, part=".table--events") == []
-
-
-def test_on_paper_a_change_has_all_of_its_units(shared_page: OpensPages) -> None:
-    page = opened(shared_page("viewer", viewport={"width": 794, "height": 1123}), "/events?kind=command")
-    units = page.locator(".event__parts").last.locator("tbody tr").first
-    expect(units).to_be_hidden()
+    page.keyboard.press("Enter")
+    expect(shown.first).to_be_hidden()
+    page.set_viewport_size({"width": 794, "height": 1123})
     page.emulate_media(media="print")
-    expect(units).to_be_visible()
+    expect(shown.first).to_be_visible()
     assert page.evaluate(TOO_WIDE) == []
     assert page.evaluate(CUT) == []
 
@@ -216,17 +218,13 @@ def jams_as_shown(page: Page) -> list[str]:
     return found
 
 
-def test_nothing_jams_on_the_page_of_a_unit_and_beside_the_line(site: Site, shared_page: OpensPages) -> None:
-    page = shared_page("engineer", site=site, locale=GERMAN)
-    assert jams(page, "/units/line/1") == []
-    page.goto("/?view=tiles")
+def test_nothing_jams_beside_the_line_nor_with_a_message_and_an_undo_on_the_page_of_a_unit(
+    site: Site, shared_page: OpensPages
+) -> None:
+    page = opened(shared_page("engineer", site=site, locale=GERMAN, viewport=PANEL), "/?view=tiles")
     page.locator('[data-unit="line/5"] [data-faceplate]').click()
     expect(page.locator("#faceplate #setpoint")).to_be_visible()
     assert page.evaluate(JAMS) == []
-
-
-def test_a_message_and_the_undo_of_a_command_do_not_jam(site: Site, shared_page: OpensPages) -> None:
-    page = shared_page("engineer", site=site, locale=GERMAN, viewport={"width": 1280, "height": 800})
     page.goto("/units/line/2")
     page.locator(".setting .nudges button").nth(1).click()
     expect(page.locator(".setting .undo:visible")).to_be_visible()

@@ -35,7 +35,9 @@ def type_on_pad(page: Page, text: str) -> None:
         page.locator(f'[data-pad="{key}"]').click()
 
 
-def test_nothing_leaves_before_the_confirm(site: Site, shared_page: OpensPages) -> None:
+def test_nothing_leaves_before_the_confirm_and_enter_only_reviews(
+    site: Site, shared_page: OpensPages
+) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/3")
     before = site.writes()
     type_on_pad(page, "101.5")
@@ -46,19 +48,6 @@ def test_nothing_leaves_before_the_confirm(site: Site, shared_page: OpensPages) 
     assert site.writes() == before
     page.get_by_role("button", name="Cancel").click()
     expect(page.locator("[data-review]")).to_have_count(0)
-    assert site.writes() == before
-
-    type_on_pad(page, "101.5")
-    page.get_by_role("button", name="Set now").click()
-    confirm.click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text("verified: reads 101.5")
-    assert state(site, 3)["setpoint"] == 1015
-    assert len(site.writes()) == len(before) + 1
-
-
-def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page(viewport=PANEL), "/units/line/3")
-    before = site.writes()
     page.locator("#setpoint").fill("99,5")
     page.keyboard.press("Enter")
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
@@ -70,6 +59,14 @@ def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, shared
     page.keyboard.press("Escape")
     expect(page.locator("[data-review]")).to_have_count(0)
     assert site.writes() == before
+
+    page.locator("#setpoint").fill("")
+    type_on_pad(page, "101.5")
+    page.get_by_role("button", name="Set now").click()
+    confirm.click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("verified: reads 101.5")
+    assert state(site, 3)["setpoint"] == 1015
+    assert len(site.writes()) == len(before) + 1
 
 
 def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_page: OpensPages) -> None:
@@ -111,7 +108,9 @@ def test_a_setpoint_typed_before_the_scripts_are_there_stays(browser_page: Opens
     expect(page.locator("[data-review-act]")).to_have_text(re.compile(r"to 87\.0$"))
 
 
-def test_a_review_ends_when_the_value_has_moved(site: Site, shared_page: OpensPages) -> None:
+def test_a_review_ends_when_the_value_has_moved_or_the_unit_left_remote(
+    site: Site, shared_page: OpensPages
+) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/6")
     page.locator("#setpoint").fill("66.0")
     page.get_by_role("button", name="Set now").click()
@@ -121,6 +120,19 @@ def test_a_review_ends_when_the_value_has_moved(site: Site, shared_page: OpensPa
     expect(page.locator("[data-review-end]")).to_contain_text("50.0")
     assert state(site, 6)["setpoint"] == 500
     expect(page.locator("#setpoint")).to_have_value("66.0")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("[data-review-act]")).to_be_visible()
+    site.line.remote.do("mode", unit=6, to="local")
+    try:
+        expect(page.locator("[data-review-end]")).to_contain_text("left REMOTE")
+        expect(page.locator("[data-review-act]")).to_have_count(0)
+        expect(page.locator(".notice.by-mode__not")).to_be_visible()
+        expect(page.locator("#setpoint")).to_be_hidden()
+        expect(page.get_by_role("button", name="Switch output 1")).to_be_hidden()
+        expect(page.locator('[hx-post$="/analog-output/review"]')).to_be_hidden()
+    finally:
+        site.line.remote.do("mode", unit=6, to="remote")
+    expect(page.locator("#setpoint")).to_be_visible()
 
 
 @pytest.mark.provokes("ERR_FAILED", "fetch")
@@ -260,24 +272,9 @@ def test_discard_leaves_nothing_staged_while_an_input_stands_above_the_setpoint(
             site.line.remote.do("input", unit=unit, input=input, on=False)
 
 
-def test_a_unit_in_local_disables_the_controls_and_shows_why(site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page(viewport=PANEL), "/units/line/1")
-    page.get_by_role("button", name="Set now").click()
-    expect(page.locator("[data-review-act]")).to_be_visible()
-    site.line.remote.do("mode", unit=1, to="local")
-    try:
-        expect(page.locator("[data-review-end]")).to_contain_text("left REMOTE")
-        expect(page.locator("[data-review-act]")).to_have_count(0)
-        expect(page.locator(".notice.by-mode__not")).to_be_visible()
-        expect(page.locator("#setpoint")).to_be_hidden()
-        expect(page.get_by_role("button", name="Switch output 1")).to_be_hidden()
-        expect(page.locator('[hx-post$="/analog-output/review"]')).to_be_hidden()
-    finally:
-        site.line.remote.do("mode", unit=1, to="remote")
-    expect(page.locator("#setpoint")).to_be_visible()
-
-
-def test_several_units_are_one_change(site: Site, shared_page: OpensPages) -> None:
+def test_several_units_are_one_change_and_a_blocked_one_has_no_field(
+    site: Site, shared_page: OpensPages
+) -> None:
     page = opened(shared_page(viewport=PANEL), "/setpoints")
     before = site.writes()
     former = [state(site, unit)["setpoint"] for unit in (3, 4)]
@@ -305,6 +302,27 @@ def test_several_units_are_one_change(site: Site, shared_page: OpensPages) -> No
     act.click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     assert [state(site, unit)["setpoint"] for unit in (3, 4)] == former
+    page.keyboard.press("Escape")
+    field = page.locator("[name=new-2]")
+    expect(field).to_be_visible()
+    with site.api("operator") as client:
+        client.post("/buses/line/units/2/block", json={"reason": "belt off"}).raise_for_status()
+        try:
+            expect(field).to_be_hidden()
+            expect(page.locator('[data-unit="line/2"] .by-block__why')).to_have_text(
+                "commands blocked: belt off (operator-program)"
+            )
+
+            def others_selected() -> bool:
+                page.get_by_role("button", name="Select all").click()
+                return page.locator('[data-unit="line/1"] [data-tick]').is_checked()
+
+            # A unit that is stale for a moment is left out, too.
+            eventually(others_selected, "unit 1 selected", within=PAGE_S)
+            expect(page.locator('[data-unit="line/2"] [data-tick]')).not_to_be_checked()
+        finally:
+            client.delete("/buses/line/units/2/block").raise_for_status()
+    expect(field).to_be_visible()
 
 
 @pytest.mark.soak
@@ -328,7 +346,7 @@ def test_scaling_fills_in_checked_rows(shared_page: OpensPages) -> None:
     expect(page.locator("#change-line")).to_contain_text("below 0")
 
 
-def test_a_parameter_is_written_and_its_row_shows_it(site: Site, shared_page: OpensPages) -> None:
+def test_a_parameter_is_written_and_a_dangerous_one_wants_a_word(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
     row.locator("[name=value]").fill("12.5")
@@ -338,10 +356,6 @@ def test_a_parameter_is_written_and_its_row_shows_it(site: Site, shared_page: Op
     expect(page.locator("dialog[open]")).to_have_count(0)
     expect(row).to_contain_text("125")
     assert site.line.remote.do("parameter", unit=2, number=6) == 125
-
-
-def test_a_dangerous_parameter_wants_a_word(site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     before = site.writes()
     row = page.locator("#parameter-19")
     row.locator("[name=value]").select_option("Local")
@@ -352,29 +366,3 @@ def test_a_dangerous_parameter_wants_a_word(site: Site, shared_page: OpensPages)
     expect(act).to_be_enabled()
     page.get_by_role("button", name="Cancel").click()
     assert site.writes() == before
-
-
-def test_a_unit_that_is_blocked_meanwhile_has_no_field_among_the_setpoints(
-    site: Site, shared_page: OpensPages
-) -> None:
-    page = opened(shared_page(viewport=PANEL), "/setpoints")
-    field = page.locator("[name=new-2]")
-    expect(field).to_be_visible()
-    with site.api("operator") as client:
-        client.post("/buses/line/units/2/block", json={"reason": "belt off"}).raise_for_status()
-        try:
-            expect(field).to_be_hidden()
-            expect(page.locator('[data-unit="line/2"] .by-block__why')).to_have_text(
-                "commands blocked: belt off (operator-program)"
-            )
-
-            def others_selected() -> bool:
-                page.get_by_role("button", name="Select all").click()
-                return page.locator('[data-unit="line/1"] [data-tick]').is_checked()
-
-            # A unit that is stale for a moment is left out, too.
-            eventually(others_selected, "unit 1 selected", within=PAGE_S)
-            expect(page.locator('[data-unit="line/2"] [data-tick]')).not_to_be_checked()
-        finally:
-            client.delete("/buses/line/units/2/block").raise_for_status()
-    expect(field).to_be_visible()

@@ -92,7 +92,27 @@ def test_nothing_moves_while_the_story_runs(
     assert shifts(page) == []
 
 
-def test_eight_units_and_the_verdict_are_in_the_first_screen_of_a_phone(
+TOUCHING = """() => {
+  const pressed = "a[href], button, input:not([type=hidden]), select, summary, label.check";
+  const at_edge = ".top, .rail, .tray, .setpoints__act, .plate__dock, [inert], .skip, .gone, .check > input";
+  const boxes = [...document.querySelectorAll(pressed)]
+    .filter((each) => each.checkVisibility({ visibilityProperty: true }) && !each.closest(at_edge))
+    .map((each) => [each, (each.matches("[data-faceplate]") && each.closest(".tile")) || each])
+    .map(([each, whole]) => [each, whole.getBoundingClientRect()]).filter(([, box]) => box.width > 1);
+  const near = [];
+  for (const [one, a] of boxes) for (const [other, b] of boxes) {
+    if (one === other || one.compareDocumentPosition(other) & 2) continue;
+    const apart = Math.max(a.left - b.right, b.left - a.right, a.top - b.bottom, b.top - a.bottom);
+    // A target over another, as the alarm of a tile, is no neighbor of it.
+    if (apart > -1 && apart < 4) near.push([one.outerHTML.slice(0, 90), other.outerHTML.slice(0, 90), apart]);
+  }
+  return near;
+}"""
+"""What can be pressed less than 4 px beside something else; the bars at the edges, under which a page moves,
+do not count."""
+
+
+def test_eight_units_and_the_verdict_are_in_the_first_screen_of_a_phone_and_no_targets_touch(
     site: Site, shared_page: OpensPages
 ) -> None:
     page = opened(shared_page("operator", viewport=PHONE, locale=GERMAN, has_touch=True, is_mobile=True), "/")
@@ -107,8 +127,13 @@ def test_eight_units_and_the_verdict_are_in_the_first_screen_of_a_phone(
         assert round(lines) <= 2
         for tile in page.locator(".tile").all():
             expect(tile).to_be_in_viewport(ratio=1)
+        assert page.evaluate(TOUCHING) == []
         page.locator('[data-unit="line/1"] [data-faceplate]').click()
         expect(page.locator(".faceplate .setter__now")).to_be_in_viewport(ratio=1)
+        for path in ("/units/line/2", "/setpoints", "/alarms"):
+            opened(page, path)
+            expect(page.locator(".top__alarm")).to_have_attribute("data-is", re.compile("urgent"))
+            assert page.evaluate(TOUCHING) == [], path
     finally:
         site.line.remote.do("input", unit=2, input="estop", on=False)
         site.end_alarms()
@@ -149,39 +174,6 @@ def test_what_is_read_aloud_of_the_line_and_the_alarms_is_in_order(
     finally:
         site.line.remote.do("input", unit=3, input="estop", on=False)
         eventually(lambda: site.unit(3)["inputs"]["estop"] is False, "the end of the e-stop")
-        site.end_alarms()
-
-
-TOUCHING = """() => {
-  const pressed = "a[href], button, input:not([type=hidden]), select, summary, label.check";
-  const at_edge = ".top, .rail, .tray, .setpoints__act, .plate__dock, [inert], .skip, .gone, .check > input";
-  const boxes = [...document.querySelectorAll(pressed)]
-    .filter((each) => each.checkVisibility({ visibilityProperty: true }) && !each.closest(at_edge))
-    .map((each) => [each, (each.matches("[data-faceplate]") && each.closest(".tile")) || each])
-    .map(([each, whole]) => [each, whole.getBoundingClientRect()]).filter(([, box]) => box.width > 1);
-  const near = [];
-  for (const [one, a] of boxes) for (const [other, b] of boxes) {
-    if (one === other || one.compareDocumentPosition(other) & 2) continue;
-    const apart = Math.max(a.left - b.right, b.left - a.right, a.top - b.bottom, b.top - a.bottom);
-    // A target over another, as the alarm of a tile, is no neighbor of it.
-    if (apart > -1 && apart < 4) near.push([one.outerHTML.slice(0, 90), other.outerHTML.slice(0, 90), apart]);
-  }
-  return near;
-}"""
-"""What can be pressed less than 4 px beside something else; the bars at the edges, under which a page moves,
-do not count."""
-
-
-def test_no_two_targets_of_a_phone_touch(site: Site, shared_page: OpensPages) -> None:
-    site.line.remote.do("input", unit=2, input="estop", on=True)
-    page = shared_page("operator", viewport=PHONE, locale=GERMAN, has_touch=True, is_mobile=True)
-    try:
-        for path in ("/", "/units/line/2", "/setpoints", "/alarms"):
-            opened(page, path)
-            expect(page.locator(".top__alarm")).to_have_attribute("data-is", re.compile("urgent"))
-            assert page.evaluate(TOUCHING) == [], path
-    finally:
-        site.line.remote.do("input", unit=2, input="estop", on=False)
         site.end_alarms()
 
 

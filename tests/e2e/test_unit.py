@@ -9,14 +9,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, Page, ViewportSize, expect
 
-from tests.e2e.conftest import OpensPages
-from tests.e2e.pages import PANEL, opened
+from tests.e2e.conftest import TOO_WIDE, OpensPages
+from tests.e2e.pages import FITTED, PANEL, opened
 from tests.e2e.site import Site, eventually
 from tests.sizes import sizes
 
-PHONE = {"width": 360, "height": 800}
+PHONE: ViewportSize = {"width": 360, "height": 800}
 PARTS = {
     1280: [
         *(".cause", ".plate__now", ".plate__ladder", ".plate__set", ".plate__trend", ".plate__inputs"),
@@ -33,21 +33,24 @@ COVERED = """part => {
 """What lies over the end of a part, or how far it is out of the window; empty where it is seen to its end."""
 
 
-@pytest.mark.parametrize("size", [PANEL, PHONE], ids=["panel", "phone"])
-def test_what_an_operator_needs_is_in_the_window(shared_page: OpensPages, size: Any) -> None:
-    page = opened(shared_page(viewport=size), "/units/line/3")
-    parts = {part: page.locator(part).evaluate(COVERED) for part in PARTS[size["width"]]}
-    assert {part: why for part, why in parts.items() if why} == {}
-
-
 SMALL, LOW = {"width": 360, "height": 640}, {"width": 640, "height": 400}
 """LOW is the panel at 200 %."""
 
 
+def test_what_an_operator_needs_is_in_the_window(shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/3")
+    for size in (PANEL, PHONE):
+        page.set_viewport_size(size)
+        page.evaluate(FITTED)
+        parts = {part: page.locator(part).evaluate(COVERED) for part in PARTS[size["width"]]}
+        assert {part: why for part, why in parts.items() if why} == {}
+
+
 @pytest.mark.parametrize(
-    ("path", "size"), sizes(("/units/line/3", LOW), ("/units/line/3", SMALL), ("/setpoints", LOW))
+    ("path", "size"),
+    sizes(("/units/line/3", LOW), ("/units/line/3", SMALL), ("/setpoints", LOW), ("/", LOW)),
 )
-def test_a_small_window_opens_at_the_head_of_the_page_and_leaves_it_half(
+def test_a_small_window_opens_at_the_head_of_the_page_leaves_it_half_and_loses_nothing(
     shared_page: OpensPages, path: str, size: Any
 ) -> None:
     page = opened(shared_page(viewport=size), path)
@@ -59,6 +62,7 @@ def test_a_small_window_opens_at_the_head_of_the_page_and_leaves_it_half(
               .map(bar => bar.getBoundingClientRect().top))]"""
     )
     assert end - top >= size["height"] / 2
+    assert not page.evaluate(TOO_WIDE)
 
 
 @pytest.mark.soak
