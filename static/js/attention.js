@@ -50,7 +50,8 @@ function entitle(abnormal) {
   if (document.title !== present) document.title = present;
 }
 
-/** To a screen reader: only when it is more or less than before, never at first, and not each unit on its ramp.
+/** To a screen reader: only when more or fewer units are abnormal or the worst has another priority, never at first, and not
+ * each unit on its ramp.
  * @param {string} verdict */
 function speak(verdict) {
   const place = document.getElementById("verdict");
@@ -62,8 +63,9 @@ function followVerdict() {
   let known;
   listen("line_summary", (fields) => {
     entitle(Number(fields.abnormal));
-    if (known !== undefined && fields.abnormal !== known) speak([fields.verdict, fields.counts].filter(Boolean).join(" · "));
-    known = fields.abnormal ?? known;
+    const now = `${fields.abnormal} ${fields.level}`;
+    if (known !== undefined && now !== known) speak([fields.verdict, fields.counts].filter(Boolean).join(" · "));
+    known = now;
   });
 }
 

@@ -14,14 +14,15 @@ from playwright.sync_api import Page, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.pages import LIVE, PANEL, opened
-from tests.e2e.site import AT_REST, ONE_REQUEST, Site, eventually
+from tests.e2e.site import AT_REST, NO_TENSION_ALARM, ONE_REQUEST, Site, eventually
 from tests.sizes import sizes
 
 
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
     """Three units, of which one person at a time holds control."""
-    return line_server(3, line_options=(*AT_REST, "--speedup", "3"), toml="[site]\ncontrol = true\n")
+    toml = "[site]\ncontrol = true\n" + NO_TENSION_ALARM
+    return line_server(3, line_options=(*AT_REST, "--speedup", "3"), toml=toml)
 
 
 @pytest.fixture
@@ -461,7 +462,10 @@ LISTEN = """() => {
 def test_a_screen_reader_gets_the_verdict_and_no_figures(
     site: Site, shared_page: OpensPages, holder: httpx.Client, path: str
 ) -> None:
+    """Also of a unit that was abnormal before, as one in LOCAL is."""
     page = opened(shared_page("viewer", viewport=PANEL), path)
+    site.line.remote.do("mode", unit=3, to="local")
+    expect(page).to_have_title(re.compile(r"^\(1\)"))
     page.evaluate(LISTEN)
     site.line.remote.do("input", unit=3, input="estop", on=True)
     try:
@@ -474,7 +478,8 @@ def test_a_screen_reader_gets_the_verdict_and_no_figures(
         spoken = page.evaluate("window.announced")
     finally:
         site.line.remote.do("input", unit=3, input="estop", on=False)
-        site.end_alarms("line.3.estop_active")
+        site.line.remote.do("mode", unit=3, to="remote")
+        site.end_alarms("line.3.")
     assert not any(re.search(r"\d\.\d|ramping", text) for text in spoken), spoken
 
 

@@ -124,7 +124,7 @@ def test_a_review_ends_when_the_value_has_moved_or_the_unit_left_remote(
     expect(page.locator("[data-review-act]")).to_be_visible()
     site.line.remote.do("mode", unit=6, to="local")
     try:
-        expect(page.locator("[data-review-end]")).to_contain_text("left REMOTE")
+        expect(page.locator("[data-review-end]").filter(has_text="left REMOTE")).to_be_attached()
         expect(page.locator("[data-review-act]")).to_have_count(0)
         expect(page.locator(".notice.by-mode__not")).to_be_visible()
         expect(page.locator("#setpoint")).to_be_hidden()
