@@ -71,38 +71,6 @@ def setpoint(site: Site, unit: int) -> int:
 # --- control --------------------------------------------------------------------------------------
 
 
-@pytest.mark.soak
-def test_control_is_taken_seen_handed_over_and_given_back(
-    site: Site, browser_page: OpensPages, axe: Callable[[Page], list[str]]
-) -> None:
-    anna = opened(browser_page("operator", viewport=PANEL), "/bus/line")
-    anna.evaluate("document.addEventListener('htmx:after:swap', () => document.body.dataset.swapped = '')")
-    ben = opened(browser_page("engineer", viewport=PANEL), "/bus/line")
-    expect(anna.locator("body[data-swapped]")).to_be_attached()
-    assert anna.evaluate("scrollY") == 0, "a page must not move because a user came"
-    looks = opened(browser_page("viewer", viewport=PANEL), "/units/line/1")
-    expect(anna.locator("[data-people]")).to_contain_text("engineer · engineer")
-    expect(looks.locator("[data-live='people.count']")).to_have_text("3")
-
-    anna.get_by_role("button", name="Take control").click()
-    expect(anna.get_by_role("button", name="Release control")).to_be_focused()
-    expect(ben.locator("[data-control]")).to_contain_text("Control: operator")
-    expect(ben.get_by_role("button", name="Take control")).to_have_count(0)
-    expect(looks.locator("[data-head-control]")).to_contain_text("Control: operator")
-    assert axe(looks) == []
-
-    anna.get_by_label("Hand over to").select_option("engineer")
-    anna.get_by_role("button", name="Hand over").click()
-    expect(ben.locator("[data-control]")).to_contain_text("You have control")
-    expect(anna.get_by_role("button", name="Release control")).to_have_count(0)
-    with site.api("operator") as client:
-        assert client.post("/buses/line/control").status_code == 409
-
-    ben.get_by_role("button", name="Release control").click()
-    expect(anna.get_by_role("button", name="Take control")).to_be_visible()
-    expect(looks.locator("[data-head-control]")).to_contain_text("Control is free")
-
-
 @pytest.mark.usefixtures("holder")
 def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPages) -> None:
     before = site.writes()

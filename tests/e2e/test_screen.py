@@ -110,21 +110,6 @@ def test_the_page_of_each_role_is_one_sheet_of_paper(shared_page: OpensPages, lo
 
 
 @pytest.mark.soak
-def test_an_engineer_simulates_an_alarm_before_it_goes_live(shared_page: OpensPages) -> None:
-    page = opened(shared_page("engineer", viewport=PANEL), "/alarms")
-    page.get_by_role("link", name="Custom alarms").click()
-    page.get_by_label("Name", exact=True).fill("Too fast")
-    page.get_by_label("Above", exact=True).fill("1.0")
-    page.get_by_label("Deadband", exact=True).fill("2")
-    page.get_by_role("button", name="Simulate alarm").click()
-    expect(page.get_by_text("deadband is wider than the limits leave room for")).to_be_visible()
-    page.get_by_label("Deadband", exact=True).fill("0.5")
-    page.get_by_role("button", name="Simulate alarm").press("Enter")
-    expect(page.locator("#simulation strong")).to_have_text(re.compile(r"would have come (once|\d+ times)"))
-    expect(page.locator("#simulation pre")).to_contain_text('name = "Too fast"')
-
-
-@pytest.mark.soak
 def test_an_engineer_adds_changes_and_removes_an_alarm(
     shared_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:
@@ -201,18 +186,6 @@ def hold_messages(page: Page) -> Callable[[], None]:
 
     page.route_web_socket("**/live?*", connected)
     return release
-
-
-@pytest.mark.soak
-def test_the_view_is_chosen_and_remembered(shared_page: OpensPages) -> None:
-    page = opened(shared_page(viewport=PANEL), "/")
-    expect(page.locator(".tile")).to_have_count(8)
-    page.get_by_role("link", name="Rows").click()
-    expect(page.locator(".rows__row")).to_have_count(8)
-    opened(page, "/")
-    expect(page.locator(".rows__row")).to_have_count(8)
-    page.get_by_role("link", name="Auto").click()
-    expect(page.locator(".tile")).to_have_count(8)
 
 
 def test_a_press_opens_the_faceplate_beside_the_line_and_the_keyboard_closes_it_and_goes_on(

@@ -68,63 +68,6 @@ def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
 
 
 @pytest.mark.soak
-@pytest.mark.provokes("WebSocket", "fetch")
-def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_restart_too(
-    site: Site, browser_page: OpensPages
-) -> None:
-    ramp = site.line.remote.do("parameter", unit=3, number=7)
-    page = browser_page("engineer", viewport=OFFICE)
-    take_set(page)
-    of_unit(page, "Coater").get_by_role("button", name="Mark as golden set").click()
-    expect(page.locator("summary", has_text="golden set")).to_be_visible()
-    with site.api("engineer") as client:
-        assert client.put("/buses/line/units/3/parameters/12", json={"raw": 21}).status_code == 200
-        # It is of low priority, which the verdict of the line does not name.
-        page.goto("/?view=matrix")
-        cell = page.locator('.cell[data-unit="line/3"]')
-        expect(cell).to_have_attribute(
-            "title",
-            re.compile(
-                r"Up to Speed Tolerance \(parameter 12\) differs from the golden set: "
-                r"changed by engineer-program \d\d:\d\d"
-            ),
-        )
-        site.line.remote.do("parameter", unit=3, number=7, raw=61)
-        client.get("/buses/line/units/3/parameters", params={"refresh": "true"})
-        both = re.compile(
-            r"2 values differ from the golden set: "
-            r"1 changed by engineer-program \d\d:\d\d, 1 changed at the keypad"
-        )
-        expect(cell).to_have_attribute("title", both)
-    site.stop()
-    site.start()
-    expect(cell).to_have_attribute("title", both)
-    with site.api("engineer") as client:
-        both_rows = lambda: len(client.get("/buses/line/units/3/drift").json()["rows"]) == 2  # noqa: E731
-        eventually(both_rows, "both rows were read after the restart", within=PROCEDURE_S)
-    page.goto("/units/line/3")
-    expect(page.locator("#drift")).to_contain_text("changed by engineer-program")
-    expect(page.locator("#drift")).to_contain_text("changed at the keypad")
-    with site.api("engineer") as client:
-        drift = client.get("/buses/line/units/3/drift").json()
-        assert {row["number"]: row["changed_by"] for row in drift["rows"]} == {
-            7: None,
-            12: "engineer-program",
-        }
-        eventually(
-            lambda: client.get("/buses/line/units/3/drift").json()["unread"] == 0,
-            "every parameter of the unit was read",
-            within=PROCEDURE_S,
-        )
-        for number, raw in ((12, 10), (7, ramp)):
-            assert (
-                client.put(f"/buses/line/units/3/parameters/{number}", json={"raw": raw}).status_code == 200
-            )
-    page.goto("/?view=matrix")
-    expect(cell).to_have_attribute("title", "")
-
-
-@pytest.mark.soak
 def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(
     site: Site, browser_page: OpensPages
 ) -> None:
@@ -228,49 +171,6 @@ def test_a_recipe_is_saved_tried_out_and_loaded_as_one_change(site: Site, shared
     expect(page.get_by_text("Every unit still has the setpoint of the recipe.")).to_be_visible()
 
 
-def kept_of(served: Site, unit: int, origin: str) -> list[dict[str, Any]]:
-    with served.api() as client:
-        found = client.get("/sets", params={"bus": "line", "unit": unit}).json()
-        return [client.get(f"/sets/{one['id']}").json() for one in found if one["origin"] == origin]
-
-
-@pytest.mark.soak
-def test_scheduled_sets_with_a_unit_that_does_not_respond_when_they_are_due(
-    line_server: Callable[..., Site], browser_page: OpensPages
-) -> None:
-    site = line_server(3, line_options=("--no-script", "--speedup", "10"))
-    with site.api("engineer") as client:
-        client.get("/buses/line/units/1/parameters", params={"refresh": "true"})
-        mark = len(requests(site, 0x85, 1))
-        site.set_speed(1, raw=10)
-        before = "before the first write of the day"
-        [kept] = eventually(lambda: kept_of(site, 1, before), "the set before the first setpoint")
-        assert all(row["frame"] or row["number"] == 21 for row in kept["units"][0]["parameters"])
-        assert len(requests(site, 0x85, 1)) - mark < 40
-        site.line.remote.do("fault", kind="dead", rate=1, unit=2)
-        response = client.put("/buses/line/units/2/parameters/6", json={"raw": 50})
-        assert response.status_code == 504
-        assert len(kept_of(site, 2, before)) == 1
-        client.put("/buses/line/set-schedule", json={"minute_of_day": 0})
-    site.stop()
-    site.start()
-    [set_of_1] = eventually(
-        lambda: kept_of(site, 1, "on schedule"), "the set that was due at midnight", within=PROCEDURE_S
-    )
-    assert set_of_1["units"][0]["id"] == 1
-    assert len(set_of_1["units"][0]["parameters"]) == 40
-    eventually(lambda: kept_of(site, 3, "on schedule"), "the set of unit 3", within=PROCEDURE_S)
-    assert kept_of(site, 2, "on schedule") == []
-    page = browser_page("engineer", site=site, viewport=OFFICE)
-    overdue = page.get_by_text("Infeed nip was not read: the unit does not respond")
-    eventually(lambda: page.goto("/sets") and overdue.count(), "the unit is named", within=PROCEDURE_S)
-
-
-def requests(served: Site, command: int, unit: int) -> list[dict[str, Any]]:
-    entries = served.line.remote.do("record", kinds=["received"])
-    return [entry for entry in entries if entry["unit"] == unit and bytes.fromhex(entry["hex"])[1] == command]
-
-
 def test_one_parameter_over_many_units(site: Site, shared_page: OpensPages) -> None:
     page = shared_page("engineer", viewport=OFFICE)
     page.goto("/batch/line?number=12")
@@ -287,25 +187,6 @@ def test_one_parameter_over_many_units(site: Site, shared_page: OpensPages) -> N
     unwind = page.locator("#batch-rows tr", has_text="Unwind")
     expect(unwind).to_contain_text("2.5")
     expect(unwind.get_by_role("textbox")).to_have_value("")
-
-
-@pytest.mark.soak
-def test_what_a_unit_is_already_is_not_written_again(site: Site, shared_page: OpensPages) -> None:
-    page = shared_page("engineer", viewport=PHONE)
-    page.goto("/batch/line?number=9")
-    now = page.locator("#batch-rows tr", has_text="Unwind").locator("td").first.inner_text().split()[-1]
-    page.get_by_label("New value for Unwind").fill(now)
-    page.get_by_role("button", name="Review").click()
-    expect(page.locator("#review")).to_contain_text("Nothing would change; nothing was sent.")
-    expect(page.locator("[data-review-act]")).to_have_count(0)
-    page.get_by_role("button", name="Close").click()
-    before = len(writes(site, 0x86))
-    page.get_by_label("New value for Coater").fill("31.5")
-    page.get_by_role("button", name="Review").click()
-    expect(page.locator("#review tr", has_text="Unwind")).to_contain_text("already set")
-    page.get_by_role("button", name="Write Preset Speed to 1 unit").click()
-    expect(page.get_by_text("1 of 1 unit verified")).to_be_visible()
-    assert len(writes(site, 0x86)) == before + 1
 
 
 @pytest.mark.soak

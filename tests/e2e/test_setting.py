@@ -196,27 +196,6 @@ def test_paste_works_and_scrolling_changes_nothing(site: Site, shared_page: Open
     assert site.writes() == before
 
 
-@pytest.mark.soak
-def test_the_pad_by_touch_erases_and_never_grows_beyond_the_field(
-    site: Site, browser_page: OpensPages
-) -> None:
-    page = opened(browser_page(viewport=PANEL, has_touch=True), "/units/line/3")
-    field = page.locator("#setpoint")
-    for key in ("9", "8", "erase", "7", ".", "5"):
-        page.locator(f'[data-pad="{key}"]').tap()
-    expect(field).to_have_value("97.5")
-    for _ in range(6):
-        page.locator('[data-pad="erase"]').tap()
-    expect(field).to_have_value("")
-    before = site.writes()
-    page.get_by_role("button", name="Set now").tap()
-    expect(page.locator("#setpoint-error")).not_to_be_empty()
-    boxes = page.locator(".pad button, .setter__acts button, .nudges button").evaluate_all(
-        "all => all.map(one => one.getBoundingClientRect()).map(box => Math.min(box.width, box.height))"
-    )
-    assert (min(boxes) >= 48, site.writes()) == (True, before)
-
-
 def test_by_touch_every_number_has_a_pad_that_names_it_and_its_limits(shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport={"width": 360, "height": 780}, has_touch=True), "/setpoints")
     field, pad = page.locator('[name="new-8"]'), page.locator(".keypad")
@@ -236,18 +215,6 @@ def test_by_touch_every_number_has_a_pad_that_names_it_and_its_limits(shared_pag
     for key in ("5", "-"):
         pad.locator(f'[data-pad="{key}"]').tap()
     expect(page.locator('[data-together="offset"]')).to_have_value("-5")
-
-
-@pytest.mark.soak
-def test_a_refused_parameter_value_offers_the_nearest(shared_page: OpensPages) -> None:
-    page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
-    row = page.locator("#parameter-6")
-    row.locator("[name=value]").fill("99999")
-    row.get_by_role("button", name="Write").click()
-    offered = row.get_by_role("button", name=re.compile("^Use "))
-    offered.click()
-    expect(row.locator("[name=value]")).not_to_have_value("99999")
-    expect(row.locator("[name=value]")).to_be_focused()
 
 
 def test_discard_leaves_nothing_staged_while_an_input_stands_above_the_setpoint(

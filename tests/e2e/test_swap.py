@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from bus.messages import Message
 from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import PROCEDURE_MS
 from tests.e2e.site import Site, eventually
@@ -32,44 +31,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     folder = tmp_path_factory.mktemp("swap")
     # Each request to an address with two units waits for its full timeout.
     with one_site(folder, 3, line_options=("--no-script", "--speedup", "10"), turnaround_ms=250) as made:
-        new_section(made, GOOD | {20: SETPOINT})
+        made.line.remote.do("remove", unit=3)
+        eventually(lambda: made.unit(3)["link"] == "offline", "the address stops responding")
+        made.line.remote.do("spare", parameters={17: 3} | GOOD | {20: SETPOINT})
+        eventually(lambda: made.unit(3)["link"] == "online", "the unit of section 3")
         with made.api("engineer") as client:
             taken = client.post("/buses/line/sets", json={"units": [3], "name": "the good one"})
             assert taken.status_code == 201, taken.text
         yield made
-
-
-def new_section(site: Site, parameters: dict[int, int], **traits: Any) -> None:
-    """Replace the unit at address 3 by a new one, and wait until the site has its response."""
-    line_remote = site.line.remote
-    eventually(lambda: not removed(site), "no unit at address 3")
-    eventually(lambda: site.unit(3)["link"] == "offline", "the address stops responding")
-    line_remote.do("spare", parameters={17: 3} | parameters, **traits)
-    eventually(lambda: site.unit(3)["link"] == "online", "the unit of section 3")
-
-
-def removed(site: Site) -> bool:
-    try:
-        site.line.remote.do("remove", unit=3)
-    except RuntimeError:
-        return False
-    return True
-
-
-LEAVE = re.compile("(Cancel|Close) the replacement")
-
-
-def begin(page: Page) -> None:
-    page.goto("/swap/line/3")
-    if page.get_by_role("button", name=LEAVE).count():
-        leave(page, 3)
-        page.goto("/swap/line/3")
-    page.get_by_role("button", name="Start the replacement of Coater").click()
-
-
-def leave(page: Page, unit: int) -> None:
-    page.get_by_role("button", name=LEAVE).click()
-    expect(page).to_have_url(f"/units/line/{unit}")
 
 
 def shows(page: Page, text: str) -> None:
@@ -92,7 +61,8 @@ def events(site: Site, kind: str) -> list[dict[str, Any]]:
 def test_from_the_failed_unit_to_the_verified_spare(site: Site, browser_page: OpensPages) -> None:
     line_remote = site.line.remote
     page = browser_page("engineer", viewport=OFFICE)
-    begin(page)
+    page.goto("/swap/line/3")
+    page.get_by_role("button", name="Start the replacement of Coater").click()
     shows(page, "If it is the old unit, switch it off and disconnect it")
     line_remote.do("remove", unit=3)
     shows(page, "No spare responds yet")
@@ -143,101 +113,3 @@ def test_from_the_failed_unit_to_the_verified_spare(site: Site, browser_page: Op
         ("verified by a full read"),
     ):
         assert part in end["message"], end["message"]
-
-
-def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_page: OpensPages) -> None:
-    new_section(site, {}, last_parameter=20)
-    page = browser_page("engineer", viewport=OFFICE)
-    begin(page)
-    shows(page, "If it is already the spare, confirm it")
-    page.get_by_role("button", name="Confirm the spare").click()
-    shows(page, "The unit responds and is in REMOTE")
-    page.get_by_role("button", name="Review the restore").click()
-    expect(
-        page.get_by_role("row", name=re.compile("Minimum Ratio.*this unit does not have it"))
-    ).to_be_visible()
-    page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
-    proven = page.locator("#restore-progress").get_by_text("equals the set except for the rows left out")
-    expect(proven).to_be_visible(timeout=PROCEDURE_MS)
-    assert "Minimum Ratio (parameter 38): this unit does not have it" in events(site, "swap")[0]["message"]
-
-
-def test_two_units_at_the_address_of_the_section(site: Site, browser_page: OpensPages) -> None:
-    new_section(site, GOOD)
-    page = browser_page("engineer", viewport=OFFICE)
-    begin(page)
-    shows(page, "A unit responds at address 3")
-    site.line.remote.do("spare", parameters={17: 3})
-    shows(page, "Two units respond at address 3. Disconnect the old unit")
-    eventually(lambda: site.unit(2)["link"] == "online", "the others go on")
-    leave(page, 3)
-    removed(site)
-
-
-def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
-    site: Site, browser_page: OpensPages
-) -> None:
-    page = browser_page("engineer", viewport=OFFICE)
-    page.goto("/swap/line/2")
-    expect(page.get_by_text("No parameter set of this unit is stored. Use")).to_be_visible()
-    begin_it = page.get_by_role("button", name="Start the replacement of Infeed nip")
-    begin_it.click()
-    refusal = "choose the source of the parameters; the replacement was not started"
-    expect(page.get_by_text(refusal)).to_be_visible()
-    page.goto("/swap/line/2")
-    page.get_by_label("Source of the parameters").select_option("live:line:1")
-    begin_it.click()
-    expect(page.get_by_text("The set is from unit 1, another section.")).to_be_visible()
-    leave(page, 2)
-    page.goto("/swap/line/2")
-    page.get_by_label("Source of the parameters").select_option("sheet")
-    begin_it.click()
-    shows(page, "If it is already the spare, confirm it")
-    page.get_by_role("button", name="Confirm the spare").click()
-    shows(page, "Enter the values of the parameter sheet")
-    page.get_by_role("button", name="Read the unit and save it as a set").click()
-    heading = page.get_by_role("heading", level=1)
-    expect(heading).to_have_text(re.compile(r"^Set \d+$"), timeout=PROCEDURE_MS)
-    result = events(site, "swap")[0]
-    assert result["what"] == str(Message("event_swap_kept"))
-    assert str(Message("entered_from_sheet")) in result["message"]
-
-
-@pytest.mark.provokes("WebSocket", "fetch", "Failed to fetch")
-def test_a_server_killed_in_the_midst_of_a_restore_lists_rows_done(
-    site: Site, browser_page: OpensPages
-) -> None:
-    new_section(site, {})
-    page = browser_page("engineer", viewport=OFFICE)
-    page.goto("/units/line/3/restore")
-    newest = page.locator("#source option", has_text="the good one").get_attribute("value")
-    page.get_by_label("From a stored set").select_option(newest)
-    page.get_by_role("button", name="Read the unit and show the differences").click()
-    site.line.remote.do("fault", kind="slow", rate=1, unit=3)
-    page.get_by_role("button", name=f"Write {len(GOOD)} rows to unit 3").click()
-    expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible()
-    site.stop(signal.SIGKILL)
-    expect(page.locator(".gone")).to_be_visible()
-    site.line.remote.do("clear")
-    site.start()
-    expect(
-        page.locator("#restore").get_by_text("The restore ended early: the server stopped")
-    ).to_be_visible()
-    done = page.get_by_role("cell", name="verified", exact=True).count()
-    assert 1 <= done < len(GOOD)
-    assert done + page.get_by_role("cell", name=re.compile("not sent|not verified")).count() == len(GOOD)
-    eventually(lambda: site.unit(3)["link"] == "online", "the unit of section 3")
-    page.get_by_role("button", name="Review the remaining rows").click()
-    left = page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3"))
-    expect(left).to_be_visible()
-    assert len(GOOD) - done - 1 <= int(left.inner_text().split()[1]) <= len(GOOD) - done
-    left.click()
-    proven = page.locator("#restore").get_by_text("verified by a full read")
-    expect(proven).to_be_visible(timeout=PROCEDURE_MS)
-    assert {number: parameter(site, number) for number in GOOD} == GOOD
-    page.goto("/units/line/3/restore")
-    expect(page.get_by_role("row", name=re.compile("ended early"))).to_have_count(1)
-
-
-def parameter(site: Site, number: int) -> int:
-    return int(site.line.remote.do("parameter", unit=3, number=number))

@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus
-from tests.e2e.limits import PAGE_MS, UNIT_MS
+from tests.e2e.limits import UNIT_MS
 from tests.e2e.pages import PANEL, PHONE, opened
 from tests.e2e.site import AT_REST, Site, eventually
 
@@ -176,27 +176,6 @@ def test_the_keyboard_alone_gathers_reviews_and_sends(site: Site, page: Page) ->
 
 
 @pytest.mark.soak
-def test_control_that_passes_on_keeps_the_tray_and_sends_nothing(
-    line_server: Callable[..., Site], browser_page: OpensPages
-) -> None:
-    site = line_server(2, line_options=AT_REST, toml="[site]\ncontrol = true\n")
-    page, other = (browser_page(role, site, viewport=PANEL) for role in ("operator", "engineer"))
-    opened(other, "/")
-    add_setpoint(page, 1, "71.0")
-    head = page.locator("[data-head-control]")
-    head.get_by_role("button", name="Take control").click()
-    expect(head).to_contain_text("You have control")
-    review(page)
-    sent = len(writes(site))
-    with site.api("admin") as admin:
-        admin.post("/buses/line/control/hand-over", json={"to": "engineer"}).raise_for_status()
-    send(page)
-    expect(page.locator("[data-review-done=bad]")).to_contain_text("Control: engineer")
-    assert len(writes(site)) == sent
-    expect(strip(page)).to_contain_text("1 change")
-
-
-@pytest.mark.soak
 def test_another_window_follows_when_it_is_looked_at(page: Page, browser_page: OpensPages) -> None:
     add_setpoint(page, 8, "81.0")
     other = browser_page("engineer", viewport=PANEL)
@@ -205,25 +184,6 @@ def test_another_window_follows_when_it_is_looked_at(page: Page, browser_page: O
     add_setpoint(page, 9, "82.0")
     other.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
     expect(strip(other)).to_contain_text(re.compile(r"2 changes\W+2 units"))
-
-
-@pytest.mark.soak
-def test_a_restore_and_a_recipe_go_to_the_tray(site: Site, page: Page) -> None:
-    with site.api("engineer") as client:
-        saved = client.post("/buses/line/recipes", json={"name": "Board", "setpoints": {"1": 700, "2": 710}})
-        stored = client.post("/buses/line/sets", json={"units": [2]}).json()
-        client.put("/buses/line/units/2/parameters/12", json={"raw": 33}).raise_for_status()
-        planned = client.post("/buses/line/units/2/restores", json={"set": stored["id"]}).json()
-    opened(page, f"/recipes/{saved.json()['id']}?bus=line")
-    page.get_by_role("button", name="Add to tray").click()
-    expect(strip(page)).to_contain_text("2 changes")
-    opened(page, f"/restores/{planned['id']}")
-    page.get_by_role("button", name="Add to tray").click()
-    expect(strip(page)).to_contain_text("3 changes")
-    opened(page, "/tray")
-    expect(page.locator("main")).to_contain_text("Up to Speed Tolerance (parameter 12)")
-    page.get_by_role("button", name="Remove Setpoint of Unwind from the tray").click()
-    expect(strip(page)).to_contain_text("2 changes")
 
 
 @pytest.mark.soak
@@ -252,18 +212,3 @@ def test_the_tray_is_accessible_and_covers_nothing_for_good(
     expect(shown.locator("[data-review-act]")).to_be_visible(timeout=UNIT_MS)
     shown.evaluate("document.querySelector('[data-lapse]').getAnimations().forEach(each => each.pause())")
     assert flaws(shown, locale) == []
-
-
-@pytest.mark.soak
-def test_without_scripts_the_tray_is_a_page_whose_forms_work(
-    site: Site, page: Page, browser_page: OpensPages
-) -> None:
-    add_setpoint(page, 10, "77.0")
-    add_setpoint(page, 11, "78.0")
-    plain = browser_page("engineer", viewport=PANEL, java_script_enabled=False, locale=ENGLISH)
-    plain.goto("/tray")
-    plain.get_by_role("button", name="Remove Setpoint of").last.click()
-    plain.get_by_role("link", name="Review the changes").click()
-    plain.get_by_role("button", name="Send 1 change").click()
-    expect(plain.locator("[data-review-done=good]")).to_contain_text("1 change made", timeout=PAGE_MS)
-    assert site.unit(10)["commanded"] == "77.0"

@@ -156,20 +156,6 @@ def test_wheel_drag_and_keys_move_the_picture(shared_page: OpensPages) -> None:
 
 
 @pytest.mark.soak
-def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(shared_page: OpensPages) -> None:
-    page = opened(
-        shared_page("viewer", viewport=OFFICE), "?s=line/1/actual&s=line/1/analog&span=60&scale=own"
-    )
-    axis = page.locator("#trend-values th button").nth(1)
-    axis.focus()
-    canvas = page.locator("#trend-plot canvas")
-    before = canvas.evaluate("canvas => canvas.toDataURL()")
-    page.keyboard.press("Enter")
-    eventually(lambda: canvas.evaluate("canvas => canvas.toDataURL()") != before, "another axis")
-    expect(page.locator("#trend-values th button").nth(1)).to_be_focused()
-
-
-@pytest.mark.soak
 def test_a_value_is_removed_by_keyboard_and_the_cursor_announced(shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=OFFICE), "?s=line/1/actual&s=line/2/actual")
     rows = page.locator("#trend-values tr")

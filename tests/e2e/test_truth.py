@@ -225,17 +225,6 @@ def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
     assert len(own_site.writes()) == len(before) + 1
 
 
-@pytest.mark.soak
-def test_a_hidden_tab_gets_a_snapshot_when_it_is_shown(own_site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
-    other = page.context.new_page()
-    other.bring_to_front()
-    own_site.set_speed(3, value="35.5")
-    page.bring_to_front()
-    expect(page.locator('[data-live="line/3.commanded"]')).to_have_text("35.5")
-    expect(page.locator(LIVE)).to_be_attached()
-
-
 def test_the_offline_page_is_honest(own_site: Site, shared_page: OpensPages) -> None:
     page = shared_page(None, site=own_site, viewport=PANEL)
     page.goto("/offline")
