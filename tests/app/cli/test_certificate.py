@@ -16,6 +16,7 @@ from app.cli.certificate import own_addresses, server_names
 from app.settings import ServerSettings
 from bus.tls import read_certificate
 from tests.certificates import subject_of
+from tests.for_each import for_each
 
 BUSES = '[[bus]]\nname = "dry-end"\nport = "/dev/a"\n[[bus]]\nname = "wet-end"\nport = "/dev/b"\n'
 MADE = {"ca", "server", "worker-dry-end", "worker-wet-end"}
@@ -142,7 +143,7 @@ def test_a_name_that_is_none_is_refused(config: Path) -> None:
     assert not (config.parent / "certificates").exists()
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "::", "[::]", "10.1.2.3", "line.example"])
+@for_each("host", ["0.0.0.0", "::", "[::]", "10.1.2.3", "line.example"])
 def test_the_names_of_the_server(host: str) -> None:
     names = server_names(ServerSettings(host=host, allowed_hosts=("mill.example",)), ["127.0.0.1"])
     assert len(names) == len(set(names))

@@ -20,6 +20,7 @@ import pytest
 from click.testing import CliRunner
 
 from app.cli import COMMANDS, cli
+from tests.for_each import for_each
 
 PATIENCE_S = 60.0
 """This machine may be busy."""
@@ -282,7 +283,7 @@ def test_a_worker_without_its_bus(lineside: Shell) -> None:
     assert lineside("worker", "--bus", "dry-end", "--app", "plant", "--token", "t")[0] == 2
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("words", "code", "error"),
     [
         (["backup", "--url", "http://a..b", "--token", "t"], 1, "cannot be reached"),

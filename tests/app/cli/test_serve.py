@@ -33,6 +33,7 @@ from app.settings import load
 from bus.instants import monotonic_now
 from tests import fork_server
 from tests.e2e.site import eventually
+from tests.for_each import for_each
 from tests.fork_server import ForkedProcess
 from tests.sizes import sizes
 
@@ -111,10 +112,7 @@ def only_child(process: Process) -> int:
 
 @pytest.mark.parametrize(
     ("number", "within_s"),
-    [
-        (signal.SIGINT, PATIENCE_S),
-        pytest.param(signal.SIGTERM, 5.0, marks=pytest.mark.soak),
-    ],
+    [(signal.SIGINT, PATIENCE_S), pytest.param(signal.SIGTERM, 5.0, marks=pytest.mark.soak)],
 )
 def test_it_ends_completely_also_with_an_open_page(config: Path, number: int, within_s: float) -> None:
     """The installed command does by SIGTERM in `tests.app.system.test_configuration_restart`."""
@@ -274,9 +272,8 @@ def test_a_demo_without_a_port_takes_the_next_that_is_free() -> None:
         listen_from("192.0.2.1", first, CHOOSE)
 
 
-@pytest.mark.parametrize(
-    ("host", "words"),
-    [("192.0.2.1", "is no address of this machine"), ("a..b", "there is no host 'a..b'")],
+@for_each(
+    ("host", "words"), [("192.0.2.1", "is no address of this machine"), ("a..b", "there is no host 'a..b'")]
 )
 def test_an_impossible_address_is_reported(host: str, words: str) -> None:
     with pytest.raises(ListenError, match=words):

@@ -17,14 +17,7 @@ from app.core.database.connection import open_unchanged
 from tests.e2e.site import add_people
 from tests.mounted import mounted
 
-READING = (
-    ("user", "list"),
-    ("token", "list"),
-    ("audit", "verify"),
-    ("check",),
-    ("status",),
-    ("report",),
-)
+READING = (("user", "list"), ("token", "list"), ("audit", "verify"), ("check",), ("status",), ("report",))
 BEGUN = '[site]\nname = "Mill"\n[server]\nport = 1\ndata = "./data"\n'
 BUS = '[[bus]]\nname = "dry-end"\nport = "/dev/ttyUSB99"\n'
 

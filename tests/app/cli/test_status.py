@@ -30,12 +30,13 @@ from app.settings import load
 from bus.instants import UnixTime, unix_now
 from tests.app.history_line import NOON, Shelf, polls
 from tests.certificates import certificates
+from tests.for_each import for_each
 from tests.free_port import free_port
 
 MB = 1_000_000
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("usable", "readings", "stored", "kept", "lasting", "days"),
     [
         (300, 10, 0, 30, 0, None),  # as much as will ever be stored
@@ -289,7 +290,7 @@ def test_a_server_that_read_its_certificate_before_the_file_was_damaged(served: 
     assert (printed["serving"], printed["buses"], len(printed["degraded"])) == (True, None, 1)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("code", "body", "serves"),
     [(200, b'{"status":"ok"}', True), (200, b"<html>", False), (404, b'{"status":"ok"}', False)],
 )

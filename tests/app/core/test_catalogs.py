@@ -18,6 +18,7 @@ from app.line.conditions.catalogue import CONDITIONS
 from bus.messages import PARAMETER, TEXTS, Message, Plural, add_texts, listed, number, parameter_name, term
 from hatch_build import different_names
 from tests.catalogs import catalog_at, in_code, in_templates, key_of, leftovers, wanted
+from tests.for_each import for_each
 
 ROOT = Path(__file__).resolve().parents[3]
 TRANSLATED = {tag: path for tag, path in catalogs().items() if tag != DEFAULT}
@@ -46,10 +47,8 @@ def test_a_translation_has_the_names_of_its_text() -> None:
     assert different_names(FOLDER) == []
 
 
-@pytest.mark.parametrize(
-    ("text", "translation"), [("{n} of {m}", "{n} von allen"), ("all", "alle {n}"), ("{a}", "{b}")]
-)
-def test_a_translation_with_other_names_is_not_built(tmp_path: Path, text: str, translation: str) -> None:
+def test_a_translation_with_other_names_is_not_built(tmp_path: Path) -> None:
+    text, translation = "{n} of {m}", "{n} von allen"
     header = f'msgid ""\nmsgstr "Content-Type: text/plain; charset=utf-8\\n"\n\nmsgid "{text}"\nmsgstr '
     (tmp_path / "de.po").write_text(f'{header}"{translation}"\n')
     assert different_names(tmp_path) == [f"de.po: {text}"]
@@ -81,16 +80,13 @@ def bare_numbers(texts: Iterable[str]) -> list[str]:
 @pytest.mark.parametrize("path", TRANSLATED.values(), ids=TRANSLATED)
 def test_a_parameter_has_its_name_in_every_text(path: Path) -> None:
     """The number follows in words; a number alone is a column of a table, beside the name."""
+    assert bare_numbers(["set #18", "#{number}", "a ramp (parameter 7)", "&#160;"]) == [
+        "set #18",
+        "#{number}",
+    ]
     english = [each for text in wanted().values() for each in each_text(text)]
     assert bare_numbers(english) == []
     assert bare_numbers(each for message in catalog_at(path) for each in each_text(message.string)) == []
-
-
-@pytest.mark.parametrize(
-    "text", ["set #18 to 96", "#{number} differs", "its ratio (#37)", "read parameter #6"]
-)
-def test_a_bare_number_of_a_parameter_is_found(text: str) -> None:
-    assert bare_numbers([text, "a ramp (parameter 7)", "&#160;"]) == [text]
 
 
 def test_a_parameter_is_named_in_each_language_by_its_number() -> None:
@@ -199,14 +195,11 @@ def test_each_text_is_of_a_message() -> None:
     assert sorted(former & made) == []
 
 
-def test_the_extraction_finds_texts_at_all() -> None:
+def test_a_text_with_a_count_has_a_singular() -> None:
+    """A script that counts takes the texts of a ``tn`` from the page."""
     assert "Set line to zero" in in_templates()
     assert ("{n} row differs", "{n} rows differ") in in_templates()
     assert "Staged setpoints" in in_code()
-
-
-def test_a_text_with_a_count_has_a_singular() -> None:
-    """A script that counts takes the texts of a ``tn`` from the page."""
     found = in_templates() | in_code()
     counted = {text for pair in found if isinstance(pair, tuple) for text in pair}
     assert {text for text in found - counted if isinstance(text, str) and MANY.search(text)} == set()
@@ -251,7 +244,7 @@ def test_a_message_is_rendered_in_each_language() -> None:
     assert german.t(term("verified")) == "bestätigt (gelesen)"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("stored", "english", "german"),
     [
         ("2026-11-26T17:04:05.000+00:00", "26 Nov 2026, 18:04:05", "26.11.2026, 18:04:05"),
@@ -303,11 +296,7 @@ def german_texts() -> list[tuple[str, str]]:
     return [(str(message.id), text) for message in messages for text in each_text(message.string)]
 
 
-def test_a_german_text_requests_in_the_infinitive() -> None:
-    """Buttons and instructions have one form."""
+def test_a_german_text_requests_in_the_infinitive_and_bedienfeld_is_the_keypad_of_the_drive() -> None:
     assert [text for text in german_texts() if re.search(r"\b\w+en Sie\b", text[1])] == []
-
-
-def test_bedienfeld_is_the_keypad_of_the_drive_and_nothing_else() -> None:
     wrong = [text for text in german_texts() if "Bedienfeld" in text[1] and "keypad" not in text[0].lower()]
     assert wrong == []

@@ -29,6 +29,7 @@ from app.core.server.connections import (
     Handshakes,
     Pace,
 )
+from tests.for_each import for_each
 
 
 class Held(ClientConnection):
@@ -137,7 +138,7 @@ def test_there_is_an_end_to_accounts_too(world: World) -> None:
     assert len(world.dropped) == 1
 
 
-@pytest.mark.parametrize("awaited", WITHIN_S)
+@for_each("awaited", WITHIN_S)
 def test_each_awaited_part_has_its_time(awaited: Awaited) -> None:
     pace = Pace(1000.0, awaited)
     assert not pace.is_overdue(1000.0 + WITHIN_S[awaited])

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from app.core.web.formats import UNKNOWN, Formats
 from bus.instants import UnixTime
+from tests.for_each import for_each
 
 NOON = datetime(2026, 3, 29, 10, 0, tzinfo=UTC).timestamp()
 """The day on which Berlin's clocks went forward: noon there."""
@@ -21,7 +21,7 @@ def test_a_typed_number_is_searched_as_it_is_kept() -> None:
     assert Formats("de").typed_number("Nip, 2,5") == "Nip, 2,5"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("raw", "decimals", "english", "german"),
     [
         (12345, 1, "1234.5", "1234,5"),
@@ -72,7 +72,7 @@ def test_a_negative_number_has_a_true_minus_sign() -> None:
     assert Formats("de").number(-0.5, 2) == "\N{MINUS SIGN}0,50"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("typed", "iso"),
     [
         ("21.11.2026", "2026-11-21"),

@@ -14,9 +14,10 @@ from app.core.messages import Languages
 from app.core.messages.languages import locale_of
 from app.core.web.access import Role
 from tests.app.complete_app import House
+from tests.for_each import for_each
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("requested", "accepted", "otherwise", "chosen"),
     [
         ("", "", "en", "en"),

@@ -31,6 +31,7 @@ from app.errors import StoreError
 from app.line.commands import record
 from bus.messages import Message
 from tests.app.complete_app import complete_app
+from tests.for_each import for_each
 
 FIRST = "CREATE TABLE a (x INTEGER);\nINSERT INTO a VALUES (1);\n"
 SECOND = "ALTER TABLE a ADD COLUMN y INTEGER NOT NULL DEFAULT 7;\n"
@@ -297,7 +298,7 @@ def test_a_store_put_aside_again_and_again_leaves_the_newest_two(
 STORE, KEY = Path("/data/lineside.db"), Path("/etc/lineside.audit.key")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("presence", "key", "code"),
     [
         ("sound", KEY, None),
@@ -318,10 +319,9 @@ def test_a_site_that_was_there_is_not_replaced(
     assert refusal is None or "lineside serve --new" in str(refusal)
 
 
-@pytest.mark.parametrize("key", [None, KEY])
-@pytest.mark.parametrize(
-    ("presence", "code"),
-    [("sound", "store_not_new"), ("missing", None), ("empty", None), ("damaged", None)],
+@for_each("key", [None, KEY])
+@for_each(
+    ("presence", "code"), [("sound", "store_not_new"), ("missing", None), ("empty", None), ("damaged", None)]
 )
 def test_a_new_site_is_begun_where_none_can_be_used(
     presence: Presence, code: str | None, key: Path | None

@@ -34,17 +34,15 @@ def check_problem(response: httpx.Response, status: int, code: str) -> None:
     assert problem["detail"]
 
 
-async def test_an_unknown_call(engineer: httpx.AsyncClient) -> None:
+async def test_an_unknown_call_method_bus_and_unit(engineer: httpx.AsyncClient) -> None:
     check_problem(await engineer.get("/api/v1/nowhere"), 404, "not_found")
-
-
-async def test_a_wrong_method(engineer: httpx.AsyncClient) -> None:
     response = await engineer.delete("/api/v1/line")
     check_problem(response, 405, "method_not_allowed")
     assert response.headers["allow"] == "GET, HEAD"
-
-
-async def test_an_unknown_bus_and_an_unknown_unit(engineer: httpx.AsyncClient) -> None:
+    # Several methods of a path stand in as many routes.
+    response = await engineer.post("/api/v1/buses/dry-end/units/1/limits", json={})
+    check_problem(response, 405, "method_not_allowed")
+    assert response.headers["allow"] == "GET, HEAD, PUT"
     check_problem(await engineer.get("/api/v1/buses/nix/units/1"), 404, "unknown_bus")
     check_problem(await engineer.get("/api/v1/buses/dry-end/units/99"), 404, "unknown_unit")
 
@@ -115,11 +113,6 @@ async def test_a_fault_is_explained_with_what_to_do(
     response = await engineer.post(SPEED, content=body, headers={"content-type": kind})
     check_problem(response, 422, "invalid")
     assert response.json()["detail"].startswith(words)
-
-
-async def test_each_fault_of_a_body_is_named(engineer: httpx.AsyncClient) -> None:
-    response = await engineer.put("/api/v1/buses/dry-end/units/1/outputs/1", json={"on": "maybe"})
-    assert response.json()["errors"][0]["where"] == "on"
 
 
 async def test_a_page_for_people_and_a_fragment_for_htmx(house: House) -> None:
@@ -200,13 +193,6 @@ async def test_an_internal_error_reveals_nothing(
     assert {name: response.headers.get(name) for name in HEADERS} == HEADERS
 
 
-async def test_a_wrong_method_names_all_methods_of_the_path(engineer: httpx.AsyncClient) -> None:
-    """Which stand in as many routes."""
-    response = await engineer.post("/api/v1/buses/dry-end/units/1/limits", json={})
-    check_problem(response, 405, "method_not_allowed")
-    assert response.headers["allow"] == "GET, HEAD, PUT"
-
-
 @for_each(
     ("path", "body", "key"),
     [
@@ -246,23 +232,21 @@ async def test_what_may_be_given_several_times_is(engineer: httpx.AsyncClient) -
 
 
 @for_each(
-    ("method", "path", "field"),
+    ("path", "body"),
     [
-        ("POST", "/units/1/block", "reason"),
-        ("POST", "/sets", "name"),
-        ("POST", "/sets", "comment"),
-        ("POST", "/recipes", "name"),
-        ("POST", "/recipes", "comment"),
+        ("/units/1/block", {"reason": "a\0b"}),
+        ("/sets", {"name": "a\x1b[2J"}),
+        ("/sets", {"comment": "a\x1b[2J", "name": "n"}),
+        ("/recipes", {"name": "100\u202e5"}),
+        ("/recipes", {"comment": "100\u202e5", "name": "n"}),
     ],
 )
-@for_each("text", ["a\0b", "a\x1b[2J", "100\u202e5"])
 async def test_invisible_text_is_not_kept(
-    engineer: httpx.AsyncClient, method: str, path: str, field: str, text: str
+    engineer: httpx.AsyncClient, path: str, body: dict[str, str]
 ) -> None:
-    body = {"name": "n", field: text} if field != "reason" else {field: text}
-    response = await engineer.request(method, f"/api/v1/buses/dry-end{path}", json=body)
+    response = await engineer.post(f"/api/v1/buses/dry-end{path}", json=body)
     check_problem(response, 422, "invalid")
-    assert response.json()["detail"].startswith(f"{field}: character ")
+    assert response.json()["detail"].startswith(f"{next(iter(body))}: character ")
 
 
 @for_each(
@@ -275,13 +259,8 @@ async def test_invisible_text_is_not_kept(
 )
 async def test_nor_from_a_form(house: House, path: str, form: dict[str, str]) -> None:
     client = await house.signed_in(Role.ENGINEER)
-    for language, words in (
-        ("en", "is a control character (U+0000)"),
-        ("de", "ist ein Steuerzeichen (U+0000)"),
-    ):
-        response = await client.post(path, data=form, headers={"Accept-Language": language})
-        assert response.status_code == 422
-        assert words in response.text
+    response = await client.post(path, data=form, headers={"Accept-Language": "de"})
+    assert (response.status_code, "ist ein Steuerzeichen (U+0000)" in response.text) == (422, True)
 
 
 async def test_a_unit_named_twice_is_refused(engineer: httpx.AsyncClient) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import cast
 
@@ -38,26 +39,27 @@ class Listened:
                 return found
 
 
-@pytest.fixture(params=["path", "abstract"])
-def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    return str(tmp_path / "notify") if request.param == "path" else f"@lineside-test-{tmp_path.name}"
+@pytest.fixture
+def address(tmp_path: Path) -> str:
+    return str(tmp_path / "notify")
 
 
 @pytest.fixture
 def listened(address: str) -> Iterator[Listened]:
-    other_end = Listened(address)
-    yield other_end
-    other_end.close()
+    with closing(Listened(address)) as other_end:
+        yield other_end
 
 
-def test_it_sends_each_state_and_no_child_inherits_the_socket(address: str, listened: Listened) -> None:
-    environment = {"NOTIFY_SOCKET": address, "PATH": "/bin"}
-    manager = ServiceManager(environment)
-    assert environment == {"PATH": "/bin"}
-    manager.ready("serving at http://a")
-    manager.alive()
-    manager.stopping()
-    assert listened.received() == ["READY=1\nSTATUS=serving at http://a", "WATCHDOG=1", "STOPPING=1"]
+def test_it_sends_each_state_and_no_child_inherits_the_socket(tmp_path: Path) -> None:
+    for address in (str(tmp_path / "notify"), f"@lineside-test-{tmp_path.name}"):
+        environment = {"NOTIFY_SOCKET": address, "PATH": "/bin"}
+        with closing(Listened(address)) as listened:
+            manager = ServiceManager(environment)
+            assert environment == {"PATH": "/bin"}
+            manager.ready("serving at http://a")
+            manager.alive()
+            manager.stopping()
+            assert listened.received() == ["READY=1\nSTATUS=serving at http://a", "WATCHDOG=1", "STOPPING=1"]
 
 
 def test_a_server_that_restarts_in_its_process_finds_the_manager_again(

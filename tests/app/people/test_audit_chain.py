@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,6 +20,7 @@ from app.people.audit.entry import (
     sealed_head,
 )
 from app.people.audit.proof import AuditVerification, Walk
+from tests.for_each import for_each
 
 Log = list[dict[str, Any]]
 RING = KeyRing((b"k" * 32,))
@@ -97,7 +97,7 @@ def test_a_changed_entry_that_is_rehashed_breaks_the_next() -> None:
     assert (verdict.broken, str(verdict.fault)) == (5, "entry 5 does not continue the one before it")
 
 
-@pytest.mark.parametrize("number", [1, 5])
+@for_each("number", [1, 5])
 def test_a_removed_entry(number: int) -> None:
     log, head = written(9)
     del log[number - 1]

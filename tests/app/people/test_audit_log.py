@@ -17,6 +17,7 @@ from app.people.audit.log import ENDED_BEFORE, Event, EventLog, Filter, Logged
 from bus.contract import Frame
 from bus.messages import Message, term
 from tests.app.intents import intend
+from tests.for_each import for_each
 
 
 class Clock:
@@ -114,36 +115,23 @@ async def test_an_open_command_with_an_unreadable_text_stops_no_start(
     assert [event.outcome for event in seen] == [None, "unverified"]
 
 
-@pytest.mark.parametrize("change", ["UPDATE events SET what = 'x' WHERE id = 1", "DELETE FROM events"])
-async def test_nothing_is_changed_or_removed(log: EventLog, database: Database, change: str) -> None:
+@for_each(
+    ("change", "reason"),
+    [
+        ("UPDATE events SET what = 'x' WHERE id = 1", "an event is never"),
+        ("DELETE FROM events", "an event is never"),
+        ("DELETE FROM events_head", "the head of the log"),
+        ("UPDATE events_head SET id = 1", "the head of the log"),
+        ("UPDATE events_head SET hash = 'x'", "the head of the log"),
+    ],
+)
+async def test_nothing_is_changed_or_removed(
+    log: EventLog, database: Database, change: str, reason: str
+) -> None:
     await intent(log)
-    with pytest.raises(ConstraintError, match="an event is never"):
+    with pytest.raises(ConstraintError, match=reason):
         await database.write(lambda connection: connection.execute(change))
     assert (await log.proof.verify()).broken is None
-
-
-@pytest.mark.parametrize(
-    "change",
-    ["DELETE FROM events_head", "UPDATE events_head SET id = 1", "UPDATE events_head SET hash = 'x'"],
-)
-async def test_the_head_only_goes_forward(log: EventLog, database: Database, change: str) -> None:
-    await intent(log)
-    with pytest.raises(ConstraintError, match="the head of the log"):
-        await database.write(lambda connection: connection.execute(change))
-
-
-async def test_who_takes_the_guard_away_is_found_out(log: EventLog, database: Database) -> None:
-    for _ in range(5):
-        await intent(log)
-
-    def tamper(connection: sqlite3.Connection) -> None:
-        connection.execute("DROP TRIGGER events_stay_as_written")
-        connection.execute("UPDATE events SET new_raw = 1 WHERE id = 3")
-
-    assert (await log.proof.verify()).entries == 5
-    await database.write(tamper)
-    verdict = await log.proof.verify()
-    assert (verdict.broken, str(verdict.fault)) == (3, "entry 3 was changed after it was written")
 
 
 async def test_pages_go_back_to_the_beginning_without_a_gap(log: EventLog) -> None:
@@ -167,36 +155,26 @@ async def test_a_cursor_stands_still_while_events_come(log: EventLog) -> None:
     assert [event["what"] for event in await newest(log, before=after)] == ["1", "0"]
 
 
-@pytest.mark.parametrize(
-    ("wanted", "found"),
-    [
-        ({"kind": "login"}, ["in"]),
-        ({"bus": "a"}, ["lost 100%", "back"]),
-        ({"bus": "a", "unit": 2}, ["back"]),
-        ({"who": "ann"}, ["in"]),
-        ({"since": 1002.0, "until": 1003.0}, ["lost 100%"]),
-        ({"search": "OST"}, ["lost 100%"]),
-        ({"search": "100%"}, ["lost 100%"]),
-        ({"search": "0_%"}, []),
-        ({"search": "secret"}, ["in"]),
-    ],
-)
-async def test_filters(log: EventLog, wanted: dict[str, Any], found: list[str]) -> None:
+async def test_filters(log: EventLog) -> None:
     await log.record(kind="login", what="in", who="ann", message="with her secret")
     await log.record(kind="unit_lost", what="lost 100%", bus="a", unit=1)
     await log.record(kind="unit_back", what="back", bus="a", unit=2)
-    assert [event["what"] for event in reversed(await newest(log, **wanted))] == found
+    wanted: dict[str, list[dict[str, Any]]] = {
+        "in": [{"kind": "login"}, {"who": "ann"}, {"search": "secret"}],
+        "lost 100%": [{"since": 1002.0, "until": 1003.0}, {"search": "OST"}, {"search": "100%"}],
+        "back": [{"bus": "a", "unit": 2}],
+        "": [{"search": "0_%"}],
+    }
+    for what, filters in wanted.items():
+        for each in filters:
+            assert [event["what"] for event in await newest(log, **each)] == ([what] if what else []), each
+    assert len(await newest(log, bus="a")) == 2
 
 
 async def test_the_message_of_an_outcome_is_searched_too(log: EventLog) -> None:
     number = await intent(log)
     await log.conclude(number, "refused", "unit is not in REMOTE mode")
     assert [event["id"] for event in await newest(log, search="not in remote")] == [number]
-
-
-async def test_something_that_happened_earlier_keeps_its_time(log: EventLog) -> None:
-    await log.record(kind="estop", what="e-stop", at=12.5)
-    assert (await newest(log))[0]["time"] == 12.5
 
 
 async def test_subscribers_get_the_event_and_its_outcome(log: EventLog) -> None:

@@ -15,7 +15,6 @@ from app.core.web.access import Role
 from app.people.auth import store
 from app.people.auth.accounts import Accounts
 from app.people.auth.pages import DEVICE_COOKIE
-from app.people.auth.sign_in import FREE
 from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House
 from tests.for_each import for_each
@@ -75,15 +74,6 @@ async def test_a_wrong_password_keeps_the_name_but_not_the_password(house: House
     assert 'value="ann"' in response.text
     assert "my-wrong-one" not in response.text
     assert "wrong name or password" in response.text
-
-
-async def test_too_many_failures_are_refused_with_the_time_to_wait(house: House) -> None:
-    client = house.client()
-    for _ in range(FREE):
-        await client.post("/login", data={"name": "ann", "password": "x"})
-    response = await client.post("/login", data={"name": "ann", "password": "x"})
-    assert (response.status_code, response.headers["retry-after"]) == (429, "2")
-    assert "try again in 2 s" in response.text
 
 
 async def test_a_panel_begins_at_its_home_page(house: House) -> None:
@@ -212,28 +202,16 @@ async def test_an_admin_adds_changes_and_removes_people(house: House, admin: htt
     ("path", "form", "expected"),
     [
         ("/users", {"name": "a b", "password": "a good new one"}, "1 to 40 letters"),
-        ("/users", {"name": "bob", "password": "short"}, "12 to 256 characters"),
-        ("/users", {"name": "ada", "password": "a good new one"}, "a user ada exists already"),
         ("/users", {"name": "bob", "role": "king", "password": "a good new one"}, "there is no role"),
-        ("/users", {"name": "bob", "role": "worker", "password": "a good new one"}, "there is no role"),
         ("/users/panels", {"panel": "p1", "pin": "12"}, "6 to 12 digits"),
-        ("/users/panels", {"panel": "p1", "pin": "000000"}, "easy to guess"),
-        (
-            "/users/panels",
-            {"panel": "p1", "pin": PIN, "panel_role": "admin"},
-            "a panel is an operator at most",
-        ),
+        ("/users/panels", {"panel": "p1", "pin": PIN, "panel_role": "admin"}, "an operator at most"),
         ("/users/panels", {"panel": "p1", "pin": PIN, "home": "//evil"}, "a path on this server"),
-        ("/users", {"name": "bernd", "password": "bernd-is-the-best"}, "contains the user name"),
         ("/users", {"name": "bob", "password": "at-mill-7-we-go"}, "contains the name of the site"),
         ("/users/ada/disable", {}, "ada is the last admin"),
         ("/users/eve/role", {"role": "viewer"}, "there is no user eve"),
         ("/users/ada/password", {"password": "short"}, "12 to 256 characters"),
-        ("/users/tokens", {"token": "a b"}, "1 to 40 letters"),
-        ("/users/tokens", {"token": "t", "token_role": "king"}, "there is no role"),
         ("/users/tokens", {"token": "t", "token_role": "worker"}, "is for one bus; give one of dry-end"),
         ("/users/tokens", {"token": "t", "expires": "soon"}, "an integer, or empty"),
-        ("/users/tokens", {"token": "t", "expires": "9999"}, "after 1 to 3650 days"),
         ("/users/tokens/none/revoke", {}, "there is no token none"),
     ],
 )

@@ -61,14 +61,6 @@ async def test_a_change_is_one_row_with_its_units_in_order(house: House) -> None
     assert found[1].outcomes == [("verified", 2), ("unverified", 1)]
 
 
-async def test_two_changes_one_after_the_other_keep_their_own_units(house: House) -> None:
-    numbers = [await change(house, n) for n in (2, 3, 1)]
-    found, _ = await rows(house)
-    assert [(row.event["id"], len(row.parts)) for row in found] == list(
-        zip(numbers[::-1], (1, 3, 2), strict=True)
-    )
-
-
 async def test_a_part_found_without_its_change_is_a_separate_row(house: House) -> None:
     group = await change(house, 3)
     found, _ = await rows(house, unit=2)

@@ -31,6 +31,7 @@ from app.people.auth.rights import (
 from app.people.auth.store import Token, User
 from bus.messages import Message
 from tests.administrator import BY
+from tests.for_each import for_each
 
 ANN = Person("ann", Role.ENGINEER, "session", credential="a")
 
@@ -38,7 +39,7 @@ ANN = Person("ann", Role.ENGINEER, "session", credential="a")
 PROGRAM = Person("ann", Role.ENGINEER, "token", credential="a")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("person", "standing", "reason"),
     [
         (ANN, Standing(Role.ENGINEER, "a"), None),
@@ -405,14 +406,11 @@ async def test_it_is_looked_at_when_rights_change() -> None:
     right.rights.announce()
 
 
-async def test_a_change_before_it_was_followed_is_looked_at_too() -> None:
-    """The right was looked up, then taken away, and only then was the connection opened."""
+async def test_a_change_before_it_was_followed_or_during_a_look_is_looked_at_too() -> None:
+    """Also where the right was taken away before the connection was opened."""
     right = Right()
     right.withdraw()
     await ended(asyncio.ensure_future(right.withdrawn()))
-
-
-async def test_a_change_during_a_look_is_looked_at_too() -> None:
     right = Right()
     task = asyncio.ensure_future(right.withdrawn())
     await settled()
@@ -425,7 +423,7 @@ async def test_a_change_during_a_look_is_looked_at_too() -> None:
 PIECE = {"type": "http.response.body", "body": b"x", "more_body": True}
 
 
-@pytest.mark.parametrize("waits_in", ["the next piece", "a slow reader"])
+@for_each("waits_in", ["the next piece", "a slow reader"])
 async def test_a_response_in_pieces_ends_with_its_right(waits_in: str) -> None:
     """It was looked at with the next piece, which a line at rest sends every five seconds."""
     socket, right, waiting, left = Socket(), Right(), asyncio.Event(), False

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
 from app.system.configuration.document import difference, masked
+from tests.for_each import for_each
 
 
 def changed(before: str, now: str) -> list[tuple[str, int, str]]:
@@ -25,7 +24,7 @@ def test_lines_have_their_numbers_and_some_around_them() -> None:
     assert difference(before, before) == []
 
 
-@pytest.mark.parametrize(
+@for_each(
     "text",
     [
         '[store]\nurl = "postgresql://lineside:s3cret@db/lineside"\n',
@@ -51,7 +50,7 @@ def test_whether_a_secret_differs_is_shown() -> None:
     assert changed(one, one) == []
 
 
-@pytest.mark.parametrize(
+@for_each(
     "text",
     [
         'password_file = "smtp.password"\n',

@@ -7,6 +7,7 @@ import tomllib
 import pytest
 
 from app.system.configuration.document import WrittenOtherwiseError, at, moved_up, with_values, without
+from tests.for_each import for_each
 
 TEXT = """\
 # The plant.
@@ -116,7 +117,7 @@ def test_a_file_without_a_last_line_end() -> None:
     )
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("text", "table", "change"),
     [
         ('[[bus]]\nunit = [{ id = 1, name = "a" }]\n', ("bus", 0, "unit", 0), {"name": "b"}),

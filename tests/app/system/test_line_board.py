@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import msgspec
-import pytest
 
 from app.core.web.formats import UNKNOWN
 from app.line.conditions.condition import PRIORITIES, AlarmPriority
@@ -21,6 +20,7 @@ from app.system.peers.summary import CauseSummary, LineSummary
 from bus.instants import Monotonic, UnixTime
 from bus.messages import Message
 from tests.app.screens import translator
+from tests.for_each import for_each
 
 
 def summary(bus: str, level: Level = "", waiting: int = 0) -> LineSummary:
@@ -90,7 +90,7 @@ def test_a_peer_that_is_away_says_why_and_shows_no_old_figures() -> None:
     assert tile(LineOnBoard("", None, 1.0, away))["verdict"] == "Mill 2 has no lines of its own"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("age_s", "words"),
     [(7, "7 s"), (119.9, "119 s"), (120, "2 min"), (7199, "119 min"), (7200, "2 h"), (80_000, "22 h")],
 )

@@ -3,14 +3,7 @@
 from __future__ import annotations
 
 from app.line.live.bus_live import BusLive
-from app.system.peers.summary import (
-    MAX_POINTS,
-    POINT_S,
-    LineSummary,
-    SpeedTrace,
-    summary_of,
-    view_of,
-)
+from app.system.peers.summary import MAX_POINTS, POINT_S, LineSummary, SpeedTrace, summary_of, view_of
 from bus.contract import BusFigures, UnitLink
 from bus.messages import Message
 from tests.app.screens import HEALTHY, line, reading

@@ -13,6 +13,7 @@ from app.system.tags import scale_now, tags_of
 from bus.contract import BusFigures, BusLink, Staged, UnitFigures, UnitLink
 from bus.instants import UnixTime
 from tests.app.opcua import line, responds, scales
+from tests.for_each import for_each
 
 BEGIN = UnixTime(1_700_000_000.0)
 
@@ -79,9 +80,7 @@ def test_a_parameter_is_uncertain_until_it_is_read_after_the_unit_was_away() -> 
     assert points(bus, BEGIN + 31)["Parameters/03"][:2] == (1, "Good")
 
 
-@pytest.mark.parametrize(
-    ("unit", "number"), [("m/min", 12888), ("rpm", 5394509), ("%", 20529), ("pieces", OTHER_UNIT)]
-)
+@for_each(("unit", "number"), [("m/min", 12888), ("rpm", 5394509), ("%", 20529), ("pieces", OTHER_UNIT)])
 def test_an_engineering_unit_has_its_common_code(unit: str, number: int) -> None:
     assert unit_id(unit) == number
 

@@ -19,6 +19,7 @@ from app.system.postgresql.settings import PostgresqlSettings
 from bus.instants import unix_now
 from tests.app.fake_worker import until
 from tests.app.plant_database import published, publishing, rows, write_configuration
+from tests.for_each import for_each
 from tests.postgresql import GUARDED, PASSWORD, USER, fresh_database, needs_postgresql
 
 pytestmark = needs_postgresql
@@ -162,7 +163,7 @@ def test_a_clock_that_is_an_hour_off_is_said() -> None:
     assert "-3600 s" in str(status.notice)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("url", "code"),
     [
         ("postgresql://lineside:s3cret@db/plant", "setting_postgresql_password"),
