@@ -13,7 +13,7 @@ import httpx
 import pytest
 
 from app.core.database import Database
-from app.core.web.access import Person, Role
+from app.core.web.access import Role
 from app.engineering.recipes.book import RecipeBook, RecipeStore
 from app.engineering.recipes.rules import (
     NOT_CONFIGURED,
@@ -64,17 +64,6 @@ async def test_a_new_save_is_a_new_version_and_the_old_one_stays(scene: Scene) -
         (1, 1200, "speed"),
         (2, 1210, "speed"),
     ]
-
-
-async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene) -> None:
-    responding(scene.live)
-    await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200})
-    person = Person("ben", Role.OPERATOR, "session")
-    with pytest.raises(Problem, match="role engineer"):
-        await scene.book.save(person, "dry-end", "Kraft 80", "", {1: 1300})
-    with pytest.raises(Problem, match="role engineer"):
-        await scene.book.retire(person, "dry-end", "Kraft 80")
-    assert [recipe.version for recipe in await scene.book.store.newest()] == [1]
 
 
 async def test_a_complete_list_has_an_end(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

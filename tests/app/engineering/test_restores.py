@@ -130,22 +130,6 @@ async def test_a_canceled_restore_lists_the_rows_done(a_scene: SetsScene) -> Non
     assert scene.commands.written == []
 
 
-async def test_a_caller_without_a_route_needs_the_role_too(a_scene: SetsScene) -> None:
-    scene, person = a_scene(), Person("vera", Role.OPERATOR, "session")
-    restore = await scene.plan()
-    read = len(scene.commands.sent)
-    with pytest.raises(Problem, match="role engineer"):
-        await scene.restores.plan(person, "dry-end", 2, rows(WANTED))
-    with pytest.raises(Problem, match="role engineer"):
-        scene.restores.select(person, restore, Selection(exclude=frozenset({6})))
-    for act in (scene.restores.start, scene.restores.cancel):
-        with pytest.raises(Problem, match="role engineer") as refused:
-            act(person, restore)
-        assert (refused.value.status, refused.value.code) == (403, "forbidden")
-    assert (restore.state, restore.cancelled_by, len(scene.commands.sent)) == ("planned", "", read)
-    assert len(restore.rows) == len(WANTED)
-
-
 async def test_it_starts_once_and_one_at_a_time_for_a_unit(a_scene: SetsScene) -> None:
     scene = a_scene()
     one = await scene.plan()

@@ -158,14 +158,6 @@ def test_a_daily_minute_is_due_once_also_over_midnight() -> None:
     assert due_between(60, at(20, 0, 58), at(21, 1, 0)) == at(21, 1, 0), "the last of two"
 
 
-async def test_a_caller_without_a_route_needs_the_role_to_schedule(scene: Scene) -> None:
-    await scene.schedule.set(ANNA, 125)
-    for minute in (0, None):
-        with pytest.raises(Problem, match="role engineer"):
-            await scene.schedule.set(Person("ben", Role.OPERATOR, "session"), minute)
-    assert await scene.store.schedule() == {"dry-end": 125}
-
-
 async def test_the_schedule_is_kept_and_ended(scene: Scene) -> None:
     await scene.schedule.set(ANNA, 125)
     assert await scene.store.schedule() == {"dry-end": 125}
@@ -248,23 +240,6 @@ async def test_a_set_that_was_saved_and_not_marked_keeps_its_number(
     taking = takings.begin(ANNA, scene.keeper, [1], "", "", golden=True)
     await takings.background.settled()
     assert (taking.state, taking.set_id, str(taking.cause)) == ("failed", 1, "the disk is full")
-
-
-async def test_a_caller_without_a_route_needs_the_role_to_save(scene: Scene) -> None:
-    kept, person, takings = (
-        await scene.keeper.read_and_save(ANNA, [1]),
-        Person("ben", Role.OPERATOR, "session"),
-        SetReadings(),
-    )
-    read = len(scene.commands.sent)
-    with pytest.raises(Problem, match="role engineer"):
-        await scene.keeper.read_and_save(person, [1])
-    with pytest.raises(Problem, match="role engineer"):
-        await scene.keeper.mark_golden(person, kept, [1])
-    with pytest.raises(Problem, match="role engineer"):
-        takings.begin(person, scene.keeper, [1], "", "")
-    assert len(scene.commands.sent) == read
-    assert [summary.golden_for for summary in await scene.store.summaries()] == [()]
 
 
 @pytest.mark.parametrize("change", ["UPDATE parameter_set_row SET raw = 1", "DELETE FROM parameter_set_row"])

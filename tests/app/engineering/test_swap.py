@@ -13,7 +13,7 @@ import httpx
 import pytest
 
 from app.core.database import Database
-from app.core.web.access import Person, Role
+from app.core.web.access import Person
 from app.engineering.sets.lookup import offers
 from app.engineering.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, UnitRows
 from app.engineering.sets.restore_plan import LeftOut, Restore, RestorePlan, RestoreState, RowResult, Write
@@ -159,24 +159,6 @@ async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
         "verified by a full read",
     ):
         assert part in end["message"]
-
-
-async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene) -> None:
-    swap, swaps, person = await scene.begin(), scene.swaps, Person("ben", Role.OPERATOR, "session")
-    kept = ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9)
-    for step in (
-        swaps.begin(person, "dry-end", 1, None),
-        swaps.confirm_spare(person, swap),
-        swaps.begin_restore(person, swap, a_restore(state="planned")),
-        swaps.save_entered(person, swap, kept),
-        swaps.cancel(person, swap),
-    ):
-        with pytest.raises(Problem, match="role engineer") as refused:
-            await step
-        assert (refused.value.status, refused.value.code) == (403, "forbidden")
-    assert (swap.is_new, swap.restore, swap.proven, swap.seen) == (False, None, False, [])
-    assert (swaps.find("dry-end", 1), swaps.find("dry-end", 2)) == (None, swap)
-    assert len(scene.events.events) == 1
 
 
 async def test_a_restore_from_before_the_swap_verifies_nothing_about_it(scene: Scene) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from inspect import isawaitable, signature
 from itertools import product
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -12,13 +15,22 @@ from app.core.web.access import Person, Requires, Role, public
 from app.core.web.assets import Assets, static_dir, templates_dir
 from app.core.web.routes import GuardedRoute, calls_of
 from app.core.web.templating import Templates
+from app.engineering.recipes.book import RecipeBook
 from app.engineering.sets.batch import rows_of_batch, write_batch
-from app.engineering.sets.saving import SERVER
+from app.engineering.sets.restore_service import RestoreService
+from app.engineering.sets.saving import SERVER, SetKeeper, SetReadings, SetSchedule
+from app.engineering.swap.service import SwapService
 from app.errors import Problem
+from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.own_alarms import OwnAlarmBook
 from app.line.commands.catalogue import COMMANDS, READ_PARAMETERS, kind_of_command, timeout_s_for
 from app.line.commands.rules import NewSetpoint
+from app.line.commands.safeguards import Safeguards
 from app.main import FEATURES, create_app
 from app.people.audit.acts import Act
+from app.people.audit.log import Filter
+from app.records.handover.service import Handover, Signing
+from app.records.notification.service import Maintenance, Notification
 from app.settings import Site
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
@@ -38,7 +50,7 @@ from bus.contract import (
 )
 from bus.messages import Message
 from tests.app.complete_app import House, settings_in
-from tests.app.fake_worker import PlayedWorker, reading, responding
+from tests.app.fake_worker import BUS, PlayedWorker, reading, responding
 from tests.app.line.test_command_rules import bus_with, parameter
 from tests.for_each import for_each
 
@@ -63,6 +75,61 @@ def test_an_act_is_refused_to_every_role_that_does_not_include_its_own(role: Rol
         with pytest.raises(Problem, match="role engineer") as refused:
             RETIRE.check(person)
         assert (refused.value.status, refused.value.code) == (403, "forbidden")
+
+
+DONE_BY: dict[Role, dict[type[Any], str]] = {
+    Role.OPERATOR: {
+        Safeguards: "block lift take hand_over release request grant end_request",
+        LineAlarms: "silence_sounding",
+        Handover: "write",
+        Signing: "sign",
+    },
+    Role.ENGINEER: {
+        Safeguards: "set_limits",
+        OwnAlarmBook: "add change remove",
+        Maintenance: "begin end",
+        Notification: "test",
+        RecipeBook: "save retire",
+        RestoreService: "plan select start cancel",
+        SetKeeper: "read_and_save mark_golden",
+        SetReadings: "begin",
+        SetSchedule: "set",
+        SwapService: "begin confirm_spare begin_restore save_entered cancel",
+    },
+    Role.ADMIN: {Safeguards: "set_read_only"},
+}
+"""The methods of services that do what a person wants, by the least role. `test_alarm_acts` has those of
+alarms."""
+BELOW = {Role.OPERATOR: Role.VIEWER, Role.ENGINEER: Role.OPERATOR, Role.ADMIN: Role.ENGINEER}
+
+
+def methods_of(house: House, role: Role) -> Iterator[Callable[..., Any]]:
+    """Each method of the table, for one role."""
+    for kind, names in DONE_BY[role].items():
+        service: Any = house.services[Notification].maintenance
+        if kind is not Maintenance:
+            of_bus = kind in (Safeguards, SetKeeper, SetSchedule)
+            service = (house.services.buses[BUS] if of_bus else house.services)[kind]
+        yield from (getattr(service, name) for name in names.split())
+
+
+async def call(method: Callable[..., Any], person: Person) -> None:
+    """Do it with arguments that have nothing to do with it."""
+    _, *needed = (each for each in signature(method).parameters.values() if each.default is each.empty)
+    done = method(person, *(MagicMock() for _ in needed))
+    if isawaitable(done):
+        await done
+
+
+@for_each("role", DONE_BY)
+async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
+    """It is looked at before anything of what is wanted."""
+    before, person = (await house.log.page(Filter(), 99))[0], Person("ben", BELOW[role], "session")
+    for method in methods_of(house, role):
+        with pytest.raises(Problem, match=f"role {role}") as refused:
+            await call(method, person)
+        assert (refused.value.status, refused.value.code) == (403, "forbidden"), method
+    assert (await house.log.page(Filter(), 99))[0] == before
 
 
 def test_an_act_is_recorded_with_its_person_and_its_text() -> None:

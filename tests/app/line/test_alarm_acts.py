@@ -80,15 +80,6 @@ async def test_a_caller_without_a_route_needs_the_role_too(
     assert await active.recorded() == []
 
 
-@pytest.mark.parametrize("role", [Role.VIEWER, Role.WORKER])
-async def test_silencing_all_that_sounds_needs_the_role_too(database: Database, role: Role) -> None:
-    active = ActiveAlarms(database)
-    with pytest.raises(Problem, match="role operator"):
-        await active.alarms.silence_sounding(Person("ben", role, "session"), active.clock())
-    assert active.alarms.sounding() == [active.alarm]
-    assert await active.recorded() == []
-
-
 async def test_each_act_follows_from_its_row(database: Database) -> None:
     active = ActiveAlarms(database)
     expected = [

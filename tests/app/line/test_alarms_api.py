@@ -110,6 +110,9 @@ async def test_came_cleared_and_acknowledged_are_three_times(house: House) -> No
     cleared = await shown()
     assert (cleared["came"], cleared["acknowledged_at"]) == (came["came"], acknowledged["acknowledged_at"])
     assert cleared["cleared"] == cleared["since"] > acknowledged["since"]
+    listed = await page(operator, f"/alarms/list?shown={ESTOP}")
+    cell = r'data-head="(?:Came|Cleared|Acknowledged)">(?:<span>)?<time datetime="([^"]+)"'
+    assert len(set(re.findall(cell, listed))) == 3
 
 
 async def test_an_acknowledgement_names_the_occurrence(house: House) -> None:

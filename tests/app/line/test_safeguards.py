@@ -423,33 +423,6 @@ async def test_control_is_released_when_its_holder_is_gone_with_an_event(control
     assert len((await controlled.log.page(Filter(kind="control"), 9))[0]) == 2
 
 
-async def test_a_caller_without_a_route_needs_the_role_too(controlled: House) -> None:
-    guards, vera = controlled.guards, Person("vera", Role.VIEWER, "session")
-    anna, chef = Person("anna", Role.OPERATOR, "session"), Person("chef", Role.ADMIN, "session")
-    await guards.block(chef, 1, "belt off")
-    await guards.take(anna)
-    refused = [
-        guards.block(vera, 2, "bearing"),
-        guards.lift(vera, 1),
-        guards.take(vera),
-        guards.hand_over(vera, "vera"),
-        guards.release(vera),
-        guards.request(vera),
-        guards.grant(vera),
-        guards.end_request(vera),
-        guards.set_limits(vera, 1, Limits(highest=5)),
-        guards.set_limits(anna, 1, Limits(highest=5)),
-    ]
-    for attempt in refused:
-        with pytest.raises(Problem, match="needs the role") as problem:
-            await attempt
-        assert (problem.value.status, problem.value.code) == (403, "forbidden")
-    assert (guards.block_of(1) is None, guards.block_of(2)) == (False, None)
-    assert (guards.holder(), guards.limits(1)) == ("anna", NO_LIMITS)
-    recorded = (await controlled.log.page(Filter(), 9))[0]
-    assert len([event for event in recorded if event["kind"] != "server"]) == 2
-
-
 AT = UnixTime(1_700_000_000.0)
 """What the wall clock shows; nothing lapses by it."""
 

@@ -10,8 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.core.web.access import Person, Role
-from app.errors import Problem
+from app.core.web.access import Role
 from app.line.alarms.bus_alarms import BusAlarms
 from app.records.notification.service import Notification
 from app.records.notification.settings import NotifySettings
@@ -106,23 +105,6 @@ async def test_nothing_is_notified_in_a_maintenance(house: House, mail: PlayedMa
     whats = [event["what"] for event in await house.events("notification")]
     assert "Notification paused for maintenance: 5 minutes" in whats
     assert "Notification resumed, maintenance ended" in whats
-
-
-async def test_a_caller_without_a_route_needs_the_role_too(house: House) -> None:
-    notification, person = house.services[Notification], Person("vic", Role.OPERATOR, "session")
-    await notification.maintenance.begin(Person("ann", Role.ENGINEER, "session"), BUS, 5, "felt")
-    (row,), events = notification.maintenance.present(), await house.events("notification")
-    for act in (
-        notification.maintenance.begin(person, None, 5, "felt"),
-        notification.maintenance.end(person, row.id),
-        notification.test(person, MAIL),
-    ):
-        with pytest.raises(Problem, match="role engineer") as refused:
-            await act
-        assert (refused.value.status, refused.value.code) == (403, "forbidden")
-    assert notification.maintenance.present() == [row]
-    assert await notification.outbox.waiting() == {}
-    assert await house.events("notification") == events
 
 
 async def test_a_link_needs_a_login_and_the_button(house: House, mail: PlayedMailServer) -> None:
