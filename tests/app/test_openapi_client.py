@@ -133,47 +133,11 @@ async def test_a_command_that_was_not(
     )
 
 
-async def test_members_that_are_never_sent(client: Generated, worker: PlayedWorker) -> None:
-    codes, models = client.models.ProblemCode, client.models
-    invalid = await client.set_speed(100_000)
-    assert (invalid.status, invalid.code, invalid.unit) == (422, codes.INVALID, 1)
-    assert isinstance(invalid.nearest, int)
-    malformed = await client.call("commands.set_speed", BUS, 1, body=models.SpeedRequest(raw=1, value="1"))
-    assert (malformed.code, malformed.errors[0].where) == (codes.INVALID, "body")
-    dangerous = await client.call(
-        "commands.write_parameter", BUS, 1, 18, body=models.ParameterRequest(raw=48)
-    )
-    assert (dangerous.status, dangerous.code, dangerous.unit) == (409, codes.DANGEROUS, 1)
-    nowhere = await client.call("commands.set_speed", BUS, 99, body=models.SpeedRequest(raw=1))
-    assert (nowhere.status, nowhere.code) == (404, codes.UNKNOWN_UNIT)
-    await client.call(
-        "limits_blocks_control.block_commands", BUS, 1, body=models.CommandBlockRequest(reason="belt off")
-    )
-    blocked = await client.set_speed(1)
-    assert (blocked.status, blocked.code, blocked.unit) == (423, codes.BLOCKED, 1)
-    assert worker.commands == []
-
-
 @for_each(("role", "status", "code"), [("", 401, "unauthorized"), ("viewer", 403, "forbidden")])
 async def test_who_may_not(package: ModuleType, site: House, role: str, status: int, code: str) -> None:
     generated = Generated(package, site, role)
     problem = await generated.set_speed(1)
     assert (problem.status, problem.code) == (status, code)
-
-
-async def test_a_change_of_many_units(client: Generated, worker: PlayedWorker) -> None:
-    parts = [UnitOutcome(unit=unit, outcome="verified", read_back=unit) for unit in (1, 2)]
-    worker.play = responding("verified", units=parts, skew_s=0.001)
-    setpoints = client.models.SpeedsRequestSetpoints.from_dict({"1": {"raw": 1}, "2": {"value": "0.2"}})
-    result = await client.call(
-        "commands.set_speeds", BUS, body=client.models.SpeedsRequest(setpoints=setpoints)
-    )
-    assert isinstance(setpoints["1"], client.models.Quantity)
-    assert result.outcome == client.models.Outcome.VERIFIED
-    assert {unit: each.read_back for unit, each in result.units.additional_properties.items()} == {
-        "1": 1,
-        "2": 2,
-    }
 
 
 def test_a_call_of_the_stream_returns(package: ModuleType, tmp_path: Path) -> None:

@@ -85,11 +85,13 @@ async def test_sheet_report_and_list_have_the_same_times_and_states(house: House
     assert standing == listed
     assert {each["alarm"]: (each["time"], each["at_end"]) for each in report["alarms"]} == listed
     page = (await operator.get("/reports")).text
-    for title in ("alarms", "standing"):
-        section = page.partition(f'<h2 id="{title}">')[2].partition("</section>")[0]
-        assert "active, acknowledged" in section
-        assert "cleared, not acknowledged" in section
-        assert "active, not acknowledged" not in section
+    came, before = (
+        page.partition(f'<h2 id="{title}">')[2].partition("</section>")[0] for title in ("alarms", "standing")
+    )
+    assert "active, acknowledged" in came
+    assert "cleared, not acknowledged" in came
+    assert "active, not acknowledged" not in came
+    assert "No earlier alarm was active" in before, "each is listed once"
 
 
 async def test_came_cleared_and_acknowledged_are_three_times(house: House) -> None:

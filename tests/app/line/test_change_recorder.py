@@ -264,26 +264,6 @@ async def test_a_stepped_clock_is_written_down(site: House) -> None:
     assert "-3600" in found[0]["what"]
 
 
-async def test_events_that_cannot_be_written_now_are_written_later(
-    site: House, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    record, refused = site.log.record, 0
-
-    async def full(**_: Any) -> int:
-        nonlocal refused
-        refused += 1
-        raise StoreError(Message.of("system_error", error="the disk is full"))
-
-    monkeypatch.setattr("app.line.live.change_recorder.RETRY_AFTER_S", 0.01)
-    monkeypatch.setattr(site.log, "record", full)
-    worker = await site.worker()
-    await worker.update(reading(1))
-    await worker.update(reading(1, outputs=0))
-    await until(lambda: refused >= 3, "some tries")
-    monkeypatch.setattr(site.log, "record", record)
-    assert [event["kind"] for event in await events(site, 2)] == ["worker", "mode"]
-
-
 async def test_a_port_that_flaps_indefinitely_is_few_events_with_a_count(site: House) -> None:
     """Four a second came into a log that is kept for good."""
     for number in range(500):

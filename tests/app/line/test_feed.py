@@ -102,13 +102,6 @@ async def test_a_worker_of_another_release_is_refused_with_the_command_that_upgr
     assert bus.link.cause.params["version"] == version
 
 
-@for_each("noise", [b"\xff\x00", b"", "text", b"\x81\xa2is\xa4nope"])
-async def test_noise_first_ends_the_connection_with_a_reason(site: House, noise: bytes | str) -> None:
-    worker = await site.connect()
-    await worker.send_raw(noise)
-    assert await worker.gone()
-
-
 async def test_noise_later_ends_it_and_nothing_of_it_is_applied(site: House) -> None:
     worker = await site.worker()
     await worker.send_raw(b"\x00\x01\x02")
