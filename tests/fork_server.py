@@ -346,7 +346,7 @@ def prepare_pages() -> None:
     assets_class.__init__ = made_once.reading_once()
     assets = assets_class(made_once.static_dir())
     for name in assets:
-        assets.pack(name)
+        assets.get(name).pack()
     for feature in import_module("app.main").FEATURES:
         for route in (route for router in feature.routers for route in router.routes):
             assert route.dependant

@@ -44,7 +44,6 @@ SEARCHES = (
 @pytest.fixture
 async def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[House]:
     # The server's own queries would be counted as those of an account.
-    monkeypatch.setattr("app.line.history.feature.AFTER_S", inf)
     monkeypatch.setattr("app.line.live.change_recorder.LOOK_EVERY_S", inf)
     monkeypatch.setattr("app.system.peers.summary.READ", ())
     async with complete_app(tmp_path) as house:

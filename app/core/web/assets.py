@@ -166,7 +166,3 @@ class Assets:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._files)
-
-    def pack(self, name: str) -> None:
-        """Compress a file before its first request. Raise Problem 404."""
-        self.get(name).pack()

@@ -6,7 +6,9 @@ The service worker keeps nothing but that page: old values must never look like 
 
 from __future__ import annotations
 
+import asyncio
 import json
+from functools import partial
 
 from fastapi import APIRouter, Depends
 from starlette.requests import Request
@@ -88,11 +90,24 @@ async def favicon(request: Request) -> Response:
     return RedirectResponse(service_of(request, Assets).url(icon))
 
 
+AFTER_S = 1.0
+"""The seconds after the start, which needs the machine."""
+
+
+async def read_languages(templates: Templates, language: str) -> None:
+    """Read the catalog of the site's language and compile the others, before a page needs them: parsing one
+    would hold up commands for a tenth of a second."""
+    await asyncio.sleep(AFTER_S)
+    await asyncio.to_thread(templates.languages[language].read)
+    for each in templates.languages:
+        await asyncio.to_thread(each.compile)
+
+
 def make(services: Services) -> None:
     settings = services.settings
     services.add(Turns())
     assets = services.add(Assets(static_dir()))
-    services.add(
+    templates = services.add(
         Templates(
             templates_dir(),
             assets,
@@ -102,6 +117,7 @@ def make(services: Services) -> None:
             page_digest=settings.page_digest,
         )
     )
+    services.lifespan.add("languages", once=partial(read_languages, templates, settings.site.language))
 
 
 FEATURE = Feature(make, (router, schema.router))

@@ -4,7 +4,6 @@ content, so that a link reopens the same view."""
 from __future__ import annotations
 
 import asyncio
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -18,17 +17,15 @@ from starlette.responses import RedirectResponse, Response
 from app.core.database import Database, StoreConnection
 from app.core.database.connection import upsert
 from app.core.web.access import Person, Role, Viewer
-from app.core.web.assets import Assets
 from app.core.web.routes import GuardedRoute
 from app.core.web.services import service
-from app.core.web.templating import Templates, render, templates_of
+from app.core.web.templating import render, templates_of
 from app.errors import Problem, StoreError
 from app.feature import Feature, Services
 from app.line.history import api
-from app.line.history.api import HistoryOf, Span, series_queries
+from app.line.history.api import HistoryOf
 from app.line.history.export import has_parquet
 from app.line.history.series import values
-from app.line.history.series.runs import DAY, micros
 from app.line.history.series.values import VALUES
 from app.line.history.service import History
 from app.line.history.status import store_notice
@@ -232,31 +229,7 @@ def usual_series(history: History) -> list[str]:
     return [f"{unit}/actual" for unit in islice(units, DEFAULT_VALUES)]
 
 
-AFTER_S = 1.0
-"""The seconds after the start, which needs the machine; a person takes longer to find the page."""
-POINTS = 1000
-_SHELL = ("base.html", "components/", "trends/")
-
-
-async def warm(history: History, templates: Templates, assets: Assets, language: str) -> None:
-    """Read the catalog of the site's language, compile the others, compress static files, load the templates
-    of the trends page, and query a day of history: one after the other, so that the line stays responsive."""
-    await asyncio.sleep(AFTER_S)
-    await asyncio.to_thread(templates.languages[language].read)
-    for each in templates.languages:
-        await asyncio.to_thread(each.compile)
-    for name in assets:
-        await asyncio.to_thread(assets.pack, name)
-    environment = templates.environment(language)
-    for name in environment.list_templates(filter_func=lambda name: name.startswith(_SHELL)):
-        await asyncio.to_thread(environment.get_template, name)
-    now = micros(unix_now())
-    with suppress(Problem, StoreError):
-        await history.query(series_queries(history, usual_series(history), Span(now - DAY, now), POINTS))
-
-
 def make(services: Services) -> None:
-    lifespan, language = services.lifespan, services.settings.site.language
     services.add(TrendViews(services[Database]))
     settings = services.settings
     history = services.add(
@@ -268,8 +241,7 @@ def make(services: Services) -> None:
     async def start() -> None:
         history.start()
 
-    lifespan.add("history", start=start, end=partial(asyncio.to_thread, history.close))
-    lifespan.add("warming", once=partial(warm, history, services[Templates], services[Assets], language))
+    services.lifespan.add("history", start=start, end=partial(asyncio.to_thread, history.close))
 
 
 FEATURE = Feature(make, (api.router, router), ACTS)

@@ -3,7 +3,9 @@ of Babel."""
 
 from __future__ import annotations
 
+import asyncio
 from datetime import date
+from pathlib import Path
 
 import httpx
 import pytest
@@ -12,7 +14,11 @@ from babel.dates import format_date
 
 from app.core.messages import Languages
 from app.core.messages.languages import locale_of
+from app.core.web import feature
 from app.core.web.access import Role
+from app.core.web.assets import Assets, static_dir, templates_dir
+from app.core.web.templating import Templates
+from app.settings import Site
 from tests.app.complete_app import House
 from tests.for_each import for_each
 
@@ -77,3 +83,14 @@ def test_a_locale_is_read_once() -> None:
 def test_an_unknown_one_is_refused() -> None:
     with pytest.raises(UnknownLocaleError):
         locale_of("xx")
+
+
+def test_catalogs_are_compiled_before_a_page_needs_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(feature, "AFTER_S", 0.0)
+    templates = Templates(templates_dir(), Assets(static_dir()), Site(), kept_in=tmp_path)
+    asyncio.run(feature.read_languages(templates, "de"))
+    assert "catalog" in vars(templates.languages["de"])
+    kept = {path.name for path in tmp_path.iterdir()}
+    assert kept == {f"{each.locale}.mo" for each in templates.languages}

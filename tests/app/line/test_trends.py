@@ -1,5 +1,4 @@
-"""The trends page: its saved views, notes written on its chart, runs of recipes that it compares, and what is
-made ready before it is requested first."""
+"""The trends page: its saved views, notes written on its chart, and runs of recipes that it compares."""
 
 from __future__ import annotations
 
@@ -15,16 +14,11 @@ import httpx
 import pytest
 
 from app.core.web.access import Person, Role
-from app.core.web.assets import Assets, static_dir, templates_dir
-from app.core.web.templating import Templates
 from app.errors import Problem
 from app.line.history import feature
 from app.line.history.feature import TrendViews, clean
-from app.line.history.service import History
 from app.people.audit.log import EventLog
-from app.settings import Site
 from bus.messages import Message
-from bus.settings import BusSettings, UnitSettings
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, played_line
 
@@ -181,27 +175,3 @@ async def test_a_name_in_a_csv_for_people_is_no_formula(
     response = await viewer.get("/api/v1/history/export", params=query)
     [head, *_] = csv.reader(io.StringIO(response.content.decode("utf-8-sig")))
     assert head[2:] == ['\'=HYPERLINK("x") actual', "Nip actual"]
-
-
-@pytest.mark.parametrize("open_store", [True, False], ids=["a store", "none that opens"])
-async def test_catalogs_are_read_files_packed_templates_loaded_and_the_store_queried(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, open_store: bool
-) -> None:
-    monkeypatch.setattr(feature, "AFTER_S", 0.0)
-    bus = BusSettings(name="line", port="/dev/null", unit=(UnitSettings(id=1, name="Nip"),))
-    history = History(tmp_path, [bus])
-    if open_store:
-        history.start()
-    assets = Assets(static_dir())
-    templates = Templates(templates_dir(), assets, Site(), kept_in=tmp_path / "compiled")
-    await feature.warm(history, templates, assets, "de")
-    if open_store:
-        history.close()
-    assert all(assets.get(name)._form[1] is not None for name in assets)
-    cache = templates.environment("de").cache
-    assert cache is not None
-    read = {name for _, name in cache}
-    assert {"base.html", "trends/page.html", "components/frame.html"} <= read
-    assert "catalog" in vars(templates.languages["de"])
-    kept = {path.name for path in (tmp_path / "compiled").glob("*.mo")}
-    assert kept == {f"{language.locale}.mo" for language in templates.languages}
