@@ -14,7 +14,6 @@ from msgspec.structs import replace
 from bus.contract import (
     BusFigures,
     Frames,
-    Progress,
     ReadParameters,
     ReadTrace,
     Result,
@@ -93,14 +92,6 @@ async def test_a_value_no_frame_can_carry_is_invalid(line: VirtualLine) -> None:
     seen = len(line.readings())
     await asyncio.sleep(0.5)
     assert len(line.readings()) > seen
-
-
-@played(2)
-async def test_progress_runs_from_waiting_to_proving(line: VirtualLine) -> None:
-    await settled(line)
-    await line.perform(SetSpeed(1, 640))
-    stages = [update.stage for update in line.updates if isinstance(update, Progress)]
-    assert stages == ["waiting", "sent", "acknowledged", "proving"]
 
 
 @played(4)

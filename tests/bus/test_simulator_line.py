@@ -16,7 +16,6 @@ from bus.simulator.plant import demo_line
 from bus.simulator.ports import WAKE_S, ReplyLine, RequestLine
 from bus.simulator.unit import ORDINARY, Mode, Traits
 from bus.wire.commands import (
-    ExecuteSpeedRequest,
     ReadStatusRequest,
     Request,
     SetAndExecuteSpeedRequest,
@@ -104,32 +103,7 @@ def test_no_reply_byte_comes_before_its_time_and_all_come(data: bytes, at: float
     assert got == data
 
 
-def test_a_talker_speaks_in_order_and_two_at_once_garble_each_other() -> None:
-    line = ReplyLine()
-    line.transmit(1, 0.0, b"\xff\xff", 1.0)
-    line.transmit(1, 0.0, b"\xee", 1.0)
-    assert line.due(3.0) == b"\xff\xff\xee"
-    line.transmit(1, 10.0, b"\xaa" * 4, 1.0)
-    line.transmit(2, 11.5, b"\x55" * 4, 1.0)
-    garbled = line.due(20.0)
-    assert garbled.startswith(b"\xaa")
-    assert garbled != b"\xaa" * 4 + b"\x55" * 4
-    assert len(garbled) < 8
-
-
 # --- the line -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("baud", "turnaround_s"), [(9600, 0.0), (9600, 0.005), (300, 0.0)])
-def test_an_exchange_takes_its_bytes_and_the_turnaround(baud: int, turnaround_s: float) -> None:
-    there = host(traits=Traits(turnaround_s=turnaround_s, turnaround_jitter=0.0))
-    there.baud = baud
-    for unit in there.line.plant.units:
-        unit.baud = baud
-    began = there.now
-    there.exchange(ReadStatusRequest(2))
-    wire_bytes = 7 + len(there.data)
-    assert there.got[-1][0] - began == pytest.approx(wire_bytes * 10 / baud + turnaround_s)
 
 
 def test_lateness_does_not_add_up_over_a_thousand_exchanges() -> None:
@@ -142,26 +116,6 @@ def test_lateness_does_not_add_up_over_a_thousand_exchanges() -> None:
     total = sum(len(entry.data) for entry in sent)
     assert sent[-1].at - began == pytest.approx(7 * BYTE_S + total * BYTE_S)
     assert there.got[-1][0] >= sent[-1].at
-
-
-def test_every_unit_receives_the_broadcast_and_none_responds() -> None:
-    there = host()
-    assert (
-        len(there.exchange(StageSpeedRequest(1, 500), StageSpeedRequest(2, 600), StageSpeedRequest(3, 700)))
-        == 3
-    )
-    assert there.exchange(ExecuteSpeedRequest(0)) == []
-    assert [unit.commanded for unit in there.line.plant.units] == [500, 600, 700]
-
-
-def test_a_host_at_another_rate_is_not_received_until_the_unit_has_changed_too() -> None:
-    there = host(traits=Traits(baud_changes="at once"))
-    assert there.exchange(WriteParameterRequest(2, 18, 48)) == [bytes((2, 6))]
-    assert there.exchange(ReadStatusRequest(2)) == []
-    assert len(there.exchange(ReadStatusRequest(1))) == 1
-    there.baud = 4800
-    assert len(there.exchange(ReadStatusRequest(2))) == 1
-    assert there.exchange(ReadStatusRequest(1)) == []
 
 
 # --- faults on the line ---------------------------------------------------------------------------

@@ -156,15 +156,6 @@ def test_a_speed_ends_at_the_maximum_display_value(
     assert unit.entered == 2000
 
 
-@pytest.mark.parametrize(("raw", "taken"), [(4999, False), (5000, True), (20000, True), (20001, False)])
-def test_a_follower_takes_a_ratio_between_its_limits(raw: int, taken: bool) -> None:
-    unit = Unit()
-    unit.memory[numbers.FOLLOWER_MODE] = 1
-    expected = Ack(1) if taken else Nak(1, Code.ILLEGAL_SPEED)
-    assert exchange(unit, SetAndExecuteSpeedRequest(1, raw)) == expected
-    assert (unit.memory[numbers.RATIO_SETPOINT] == raw) == taken
-
-
 @pytest.mark.parametrize(
     ("number", "raw", "refusal"),
     [
@@ -188,31 +179,6 @@ def test_what_a_parameter_refuses(number: int, raw: int, refusal: Code) -> None:
 def test_a_parameter_is_returned_in_the_width_of_its_type(number: int, response_bytes: int) -> None:
     reply = exchange(Unit(), ReadParameterRequest(1, number))
     assert reply == ParameterReply(1, Unit().memory[number], response_bytes)
-
-
-def test_an_old_firmware_ends_at_twenty() -> None:
-    unit = Unit(traits=Traits(last_parameter=20))
-    assert exchange(unit, ReadParameterRequest(1, 20)) == ParameterReply(1, 0, 4)
-    assert exchange(unit, ReadParameterRequest(1, 21)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
-    assert exchange(unit, WriteParameterRequest(1, 21, 0)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
-
-
-@pytest.mark.parametrize("source", [0, 1, 3])
-def test_the_analog_output_needs_the_link_as_its_source(source: int) -> None:
-    unit = Unit()
-    unit.memory[numbers.ANALOG_OUT_SOURCE] = source
-    assert exchange(unit, WriteAnalogOutputRequest(1, 100)) == Nak(
-        1, Code.ANALOG_OUTPUT_NOT_COMMANDED_BY_LINK
-    )
-
-
-@pytest.mark.parametrize(("raw", "taken"), [(99, False), (100, True), (2000, True), (2001, False)])
-def test_the_analog_output_has_limits(raw: int, taken: bool) -> None:
-    unit = Unit()
-    unit.memory[numbers.ANALOG_OUT_LOW] = 100
-    assert exchange(unit, WriteAnalogOutputRequest(1, raw)) == (
-        Ack(1) if taken else Nak(1, Code.ILLEGAL_ANALOG_VALUE)
-    )
 
 
 @pytest.mark.parametrize(
@@ -367,17 +333,6 @@ def test_it_accelerates_by_the_time_for_the_full_span(seconds: float, share: flo
     assert turn(machine, seconds) == pytest.approx(FULL * share, abs=40)
 
 
-def test_at_speed_is_the_window_around_the_command() -> None:
-    machine = section(SPEED_SETPOINT=1000, AT_SPEED_WINDOW=10)
-    seen = set()
-    for _ in range(300):
-        machine.step(DT, 0.0, None)
-        near = abs(machine.unit.measured.actual - 1000) <= 10
-        assert machine.unit.at_speed == near
-        seen.add(near)
-    assert seen == {True, False}
-
-
 def test_a_drive_that_does_not_run_coasts_and_runs_up_again_from_where_it_is() -> None:
     machine = section(SPEED_SETPOINT=FULL, ACCELERATION=100)
     turn(machine, 20)
@@ -409,19 +364,6 @@ def test_a_follower_holds_its_ratio_to_the_master(ratio: int, base: int) -> None
     assert machine.unit.measured.following == pytest.approx(expected, abs=1)
     assert machine.unit.measured.ratio == pytest.approx(ratio, rel=0.01)
     assert machine.unit.at_speed
-
-
-def test_the_web_tightens_where_a_section_runs_ahead_of_the_one_before() -> None:
-    before, ahead, behind = (section(SPEED_SETPOINT=speed) for speed in (1000, 1010, 990))
-    for machine in (before, ahead, behind):
-        machine.settle()
-    for _ in range(100):
-        before.step(DT, 0.0, None)
-        ahead.step(DT, 0.0, before)
-        behind.step(DT, 0.0, before)
-    analogs = [machine.unit.measured.analog for machine in (behind, before, ahead)]
-    assert analogs == sorted(analogs)
-    assert analogs[2] - analogs[0] > 20
 
 
 def test_everything_shown_fits_its_bytes() -> None:

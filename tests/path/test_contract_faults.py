@@ -1,9 +1,11 @@
-"""Faults on the floor: cable pulled, worker stopped, a command too late."""
+"""Faults on the floor: cable pulled, port taken, worker stopped, a command too late."""
 
 from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -12,9 +14,21 @@ from typing import Any
 
 import pytest
 
-from tests.e2e.site import eventually
+from tests.e2e.limits import START_S
+from tests.e2e.site import end, eventually
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
+
+CLAIM = """
+import fcntl, os, sys, termios
+port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+fcntl.ioctl(port, termios.TIOCEXCL)
+print("held", flush=True)
+sys.stdin.read()
+"""
+"""As programs do that do not check, while the worker has it open. The other end of the cable has the terminal
+open, so the claim outlives the program.
+"""
 
 
 @dataclass
@@ -102,6 +116,62 @@ def test_a_worker_stopped_between_two_tries_tries_no_more(plant: Plant) -> None:
     assert problem["outcome"] == "unverified"
     _responds(plant, 1)
     assert len(unit.writes) == tries
+
+
+@contextmanager
+def another_program(plant: Plant, script: str) -> Iterator[subprocess.Popen[str]]:
+    """It runs; whether it has the port yet is another matter."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, plant.cable.port],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        assert process.stdin is not None
+        process.stdin.close()
+        process.stdin = None
+        process.wait()
+        end(process)
+
+
+def closed(plant: Plant, words: str) -> dict[str, Any]:
+    """Wait until the bus is shown closed, with this among the reasons."""
+
+    def look() -> dict[str, Any] | None:
+        bus = plant.line()
+        return bus if bus["link"] == "closed" and words in bus["link_cause"]["detail"] else None
+
+    shown: dict[str, Any] = eventually(look, f"closed with {words!r}; it is {plant.line()}")
+    return shown
+
+
+def nothing_is_sent_and_it_comes_back(plant: Plant) -> None:
+    """To be begun while the port is closed; ends when the line is read again."""
+    for unit in (1, 2):
+        plant.see(unit, "online again", lambda shown: shown["link"] == "online")
+    assert [unit.writes for unit in plant.cable.units.values()] == [[], []], "nothing is sent late"
+    assert plant.bus("POST", "/units/1/speed", {"raw": 1200}).status_code == 200
+
+
+def refused_meanwhile(plant: Plant) -> None:
+    """A write finds the bus closed."""
+    response = plant.bus("POST", "/units/1/speed", {"raw": 4000})
+    assert (response.status_code, response.json()["code"]) == (503, "bus_closed")
+
+
+def test_a_port_that_is_claimed_while_it_is_open_and_when_the_worker_starts(plant: Plant) -> None:
+    with another_program(plant, CLAIM) as other:
+        closed(plant, f"(process {other.pid})")
+        refused_meanwhile(plant)
+        (worker,) = plant.workers()
+        os.kill(worker, signal.SIGKILL)
+        eventually(lambda: plant.workers() not in ([], [worker]), "another worker", within=START_S)
+        closed(plant, f"(process {other.pid})")
+        refused_meanwhile(plant)
+    nothing_is_sent_and_it_comes_back(plant)
 
 
 def _events(plant: Plant, query: str) -> list[dict[str, Any]]:
