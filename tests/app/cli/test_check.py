@@ -20,6 +20,7 @@ from app.core.database.migration import COPYING
 from app.line.history.writer import MIGRATIONS
 from app.people.audit.entry import KeyOrigin
 from app.people.audit.keys import make_key_file
+from tests.for_each import for_each
 from tests.mounted import mounted
 
 cli = check.check
@@ -75,7 +76,7 @@ def test_without_a_bus_it_prints_what_to_write(config: Path) -> None:
     assert "lineside init" in result.stderr
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("text", "words"),
     [
         (
@@ -255,7 +256,7 @@ def test_it_prints_where_the_key_and_the_anchor_of_the_audit_log_are(config: Pat
     assert f"audit key {key}\n" in run(config, text).stdout
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("audit", "words"),
     [
         ('key_file = "absent/lineside.key"', "absent/lineside.key"),

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from app.cli import cli
 from app.cli.support_bundle import bundle, parts
 from tests.e2e.site import PASSWORD, add_people
+from tests.for_each import for_each
 
 SECRETS = ("mail-secret-1", "hook-path-2", "hook-secret-3")
 MIN_KEY = 32
@@ -77,7 +78,7 @@ def test_it_has_no_secret_of_any_place(config: Path) -> None:
     assert json.loads(found["about.json"])["packages"]["fastapi"]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("text", "place"),
     [
         ('[site]\npassword = "mail-secret-1\n', ":2: this is not TOML"),

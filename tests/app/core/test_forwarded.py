@@ -158,7 +158,7 @@ async def test_only_under_its_own_names(tmp_path: Path) -> None:
         assert (response.status_code, response.json()["code"]) == (400, "malformed")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("key", "words"),
     [
         ('trusted_proxies = ["10.0.0.5/8"]', "write the address of a proxy"),

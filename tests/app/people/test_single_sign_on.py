@@ -37,6 +37,7 @@ from tests.app.played_provider import (
     sent,
     signed,
 )
+from tests.for_each import for_each
 
 provider = pytest.fixture(provider_alone)
 
@@ -327,7 +328,7 @@ def test_the_contract(tmp_path: Path) -> None:
     assert load(written(tmp_path, "")).oidc is None
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("issuer", "others", "text"),
     [
         ("http://login.plant.example", ROLES, "https://"),

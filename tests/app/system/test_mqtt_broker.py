@@ -29,6 +29,7 @@ from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import PlayedWorker, reading, until
 from tests.app.sparkplug import Host
 from tests.app.system.test_mqtt_node import command
+from tests.for_each import for_each
 
 ADDRESSES = (1, 2, 16)
 UNITS = "".join(f'[[bus.unit]]\nid = {n}\nname = "Unit {n}"\n' for n in ADDRESSES)
@@ -265,7 +266,7 @@ async def test_a_broker_that_refuses_is_stated(tmp_path: Path, more: str, words:
         assert in_english(node.state()).startswith("node dry-end: the broker 127.0.0.1:")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("url", "more", "words"),
     [
         ("http://broker", "", "must be the URL of a broker"),

@@ -26,6 +26,7 @@ from app.version import VERSION
 from bus.messages import TEXTS
 from tests.app.complete_app import House, complete_app, served
 from tests.app.served_tls import served as served_with_tls
+from tests.for_each import for_each
 
 PATIENCE_S = 60.0
 EMPTY = {
@@ -105,7 +106,7 @@ def report(**line: Any) -> bytes:
 # --- what is said of a peer ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("serve", "code"),
     [
         (with_body(b"<html>"), "peer_sends_other"),
@@ -312,7 +313,7 @@ def test_a_certificate_that_is_not_trusted_is_named(tmp_path: Path) -> None:
 # --- configuration ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("url", "words"),
     [
         ("https://mill2:8443/lines", "without a path"),
