@@ -289,16 +289,3 @@ def test_two_taps_create_one_first_admin(new_site: Site, browser_page: OpensPage
     tap_twice(page, *middle_of(page, "Create the first admin"))
     expect(page.locator("body[data-link=live]")).to_be_attached()
     assert len(sent) == 1
-
-
-@pytest.mark.soak
-def test_two_taps_sign_in_once(site: Site, browser_page: OpensPages) -> None:
-    page = browser_page(None, taps=True)
-    sent: list[Request] = []
-    page.on("request", lambda request: sent.append(request) if request.method == "POST" else None)
-    page.goto(f"{site.url}/login")
-    page.locator("[name=name]").fill("operator")
-    page.locator("[name=password]").fill(PASSWORD)
-    tap_twice(page, *middle_of(page, "Log in"))
-    expect(page.locator("body[data-link=live]")).to_be_attached()
-    assert len(sent) == 1

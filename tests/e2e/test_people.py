@@ -95,20 +95,6 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPa
     assert site.writes() == before
 
 
-@pytest.mark.soak
-def test_control_is_taken_where_the_line_is_set_to_zero(shared_page: OpensPages) -> None:
-    page = opened(shared_page("operator", viewport={"width": 360, "height": 740}), "/trends")
-    page.get_by_role("button", name="Line to 0").click()
-    page.locator("#review").get_by_role("button", name="Take control and continue").click()
-    act = page.locator("[data-review-act]")
-    expect(act).to_have_text(re.compile("Set . units? to speed 0"))
-    act.click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text("accepted speed 0")
-    page.keyboard.press("Escape")
-    page.get_by_role("button", name="Release control").click()
-    expect(page.locator("[data-head-control]")).to_contain_text("Control is free")
-
-
 PAGE_AT = "document.querySelector('main').getBoundingClientRect().top"
 """Where the page begins below the head."""
 
@@ -395,21 +381,6 @@ def newest_event(site: Site) -> int:
         events = client.get("/events", params={"limit": 20}).json()["events"]
     automatic = ("server", "worker", "clock", "bus", "unit")
     return max((event["id"] for event in events if event["kind"] not in automatic), default=0)
-
-
-@pytest.mark.soak
-@pytest.mark.provokes("WebSocket", "fetch")
-def test_a_form_that_was_held_up_on_the_way_is_not_carried_out(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page("operator", viewport=PANEL), "/units/line/2")
-    page.locator("summary").click()
-    page.locator("#reason").fill("held up")
-    page.route(
-        "**/block*",
-        lambda route: route.continue_(url=re.sub(r"clicked_at=[\d.]+", "clicked_at=1", route.request.url)),
-    )
-    page.get_by_role("button", name=re.compile("^Block ")).click()
-    expect(page.locator("[role=alert]")).to_contain_text("too late")
-    assert site.unit(2)["blocked"] is None
 
 
 # --- screen reader texts, and where the focus stays -----------------------------------------------

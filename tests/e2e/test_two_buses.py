@@ -188,22 +188,6 @@ def test_a_followers_setpoint_is_a_ratio(site: Site, shared_page: OpensPages, fo
 
 
 @pytest.mark.soak
-def test_a_staged_value_of_a_follower_is_a_ratio_too(
-    site: Site, shared_page: OpensPages, follower: int
-) -> None:
-    page = opened(shared_page(viewport=PANEL), f"/units/line/{follower}")
-    page.locator("#setpoint").fill("0.9876")
-    page.get_by_role("button", name="Stage…", exact=True).click()
-    page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
-    expect(page.locator(f'[data-live="line/{follower}.staged"]').first).to_have_text(re.compile("0.9876"))
-    page.get_by_role("button", name="Execute staged").click()
-    page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_be_visible()
-    eventually(lambda: state(site.line, follower)["setpoint"] == 9876, "the staged ratio executed")
-
-
-@pytest.mark.soak
 def test_all_lines_are_on_one_page_and_one_press_leads_to_one(
     shared_page: OpensPages, flaws: Callable[..., list[str]]
 ) -> None:
