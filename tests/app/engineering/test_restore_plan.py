@@ -105,27 +105,9 @@ def test_every_row_can_be_deselected(
 @pytest.mark.parametrize(
     ("number", "running", "status", "code", "error"),
     [
-        (
-            17,
-            False,
-            422,
-            "invalid",
-            "Unit ID Number (parameter 17) cannot be written: the address is set at the keypad only",
-        ),
-        (
-            8,
-            True,
-            422,
-            "invalid",
-            "Master/Slave/Inverse Mode (parameter 8) cannot be written: no change while the run input is on",
-        ),
-        (
-            18,
-            False,
-            409,
-            "dangerous",
-            "Baud Rate (parameter 18): The unit responds only at the new baud rate",
-        ),
+        (17, False, 422, "invalid", "17) cannot be written: the address is set at the keypad only"),
+        (8, True, 422, "invalid", "8) cannot be written: no change while the run input is on"),
+        (18, False, 409, "dangerous", "18): The unit responds only at the new baud rate"),
     ],
 )
 def test_a_named_row_is_never_left_out_without_notice(

@@ -51,7 +51,7 @@ async def test_everything_is_served_elsewhere(server: tuple[str, int] | None) ->
 
 @pytest.mark.parametrize(
     ("host", "is_in_clear"),
-    [("127.0.0.1", False), ("::1", False), ("localhost", False), ("0.0.0.0", True), ("plant", True)],
+    [("127.0.0.1", False), ("localhost", False), ("0.0.0.0", True), ("plant", True)],
 )
 def test_other_machines_reach_it_in_clear(tmp_path: Path, host: str, is_in_clear: bool) -> None:
     server = ServerSettings(host=host, data=tmp_path / "data")
