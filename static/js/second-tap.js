@@ -6,8 +6,8 @@
   /** Less than from one button to the next. */
   const NEAR_PX = 40;
   const STORED = "lineside-last-tap";
-  /** All but the keys of a number pad, on which a digit is typed twice. */
-  const ACTS = "button:not([data-pad], [data-keypad-next]), input[type=submit], a:is([hx-get], [hx-post])";
+  /** All but the keys of a number pad, on which a digit is typed twice, and what leads on through the tour. */
+  const ACTS = "button:not([data-pad], [data-keypad-next], [data-tour-next]), input[type=submit], a:is([hx-get], [hx-post])";
   /** Which send something: also not where another has just been pressed at the same place. */
   const SENDS = ":is([type=submit], :not([type]), [hx-get], [hx-post], [data-sound-press])";
   /** @type {Element | null} */

@@ -23,8 +23,6 @@ function show() {
   document.querySelector(".tour-at")?.classList.remove("tour-at");
   const at = place();
   at?.classList.add("tour-at");
-  const box = at?.getBoundingClientRect();
-  tour.classList.toggle("tour--above", box !== undefined && box.top + box.height / 2 > innerHeight / 2);
   tour.showPopover();
 }
 

@@ -17,7 +17,7 @@ from app.core.web.services import service
 from app.line.alarms.line_alarms import alarm_counts
 from app.line.conditions.condition import PRIORITIES
 from app.line.live.diagnosis import Level
-from app.line.live.fields import Fields, Groups, Translator, put_fields
+from app.line.live.fields import Fields, Groups, Translator, put_fields, scan_text
 from app.line.live.screen import verdict_line
 from app.system.peers.summary import MAX_POINTS, LineSummary
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now
@@ -174,7 +174,7 @@ _NEVER: Fields = {
 
 def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fields:
     """Return the fields of a line. ``quality``: whether its state is current; ``last``: its last state if it
-    is not."""
+    is not, else why its cause is no alarm yet."""
     summary, level = line.summary, shown_level(line)
     fields = _NEVER | {
         "level": level,
@@ -189,7 +189,7 @@ def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fie
         was = translator.t(Message.of("line_was", verdict=before))
         fields |= {"verdict": translator.t(no_report(line)), "last": was}
     else:
-        fields |= {"place": place, "verdict": verdict}
+        fields |= {"place": place, "verdict": verdict, "last": _not_yet(summary, translator)}
     return fields if line.is_away else fields | _figures(summary, translator, now)
 
 
@@ -198,7 +198,7 @@ def _figures(summary: LineSummary, translator: Translator, now: UnixTime) -> Fie
         "counts": _counts(summary, translator),
         "alarm_mark": _mark(summary),
         "alarms": _alarms(summary, translator),
-        "scan": translator.formats.number(summary.scan_hz, 1) if summary.scan_hz is not None else UNKNOWN,
+        "scan": scan_text(translator, 1 / summary.scan_hz if summary.scan_hz else 0.0),
         "speed": _speed(summary, translator),
         "spark": outline(summary.speeds),
         "recipe": translator.t(summary.recipe) if summary.recipe is not None else "",
@@ -231,6 +231,11 @@ def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTi
         return "", translator.t(summary.verdict)
     place = "" if summary.place == summary.bus else summary.place
     return place, verdict_line(summary.cause.cause(summary.level), translator, now)
+
+
+def _not_yet(summary: LineSummary, translator: Translator) -> str:
+    left_s = 0 if summary.cause is None else summary.cause.alarm_in_s
+    return translator.t(Message.of("line_alarm_follows", n=left_s)) if left_s else ""
 
 
 def no_report(line: LineOnBoard) -> Message:

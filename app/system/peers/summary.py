@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal
 from itertools import islice
+from math import ceil
 
 import msgspec
 from msgspec.structs import replace
@@ -16,6 +17,7 @@ from msgspec.structs import replace
 from app.errors import StoreError
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import LineAlarms, rank
+from app.line.conditions.catalogue import TILES
 from app.line.conditions.condition import PRIORITIES, AlarmPriority
 from app.line.live.bus_live import BusLive, LiveState, Onset, figures_now, speed_decimals, unit_link_now
 from app.line.live.diagnosis import (
@@ -27,9 +29,9 @@ from app.line.live.diagnosis import (
     state_counts,
     unit_cause,
 )
-from app.line.live.fields import Translator
+from app.line.live.fields import Translator, unit_key
 from app.line.live.screen import LEVELS, all_well
-from app.line.live.sources import Sources
+from app.line.live.sources import AlarmDelay, Sources, no_delay
 from app.people.audit.entry import EventKind
 from app.people.audit.log import Event, EventLog, Filter, Logged
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
@@ -42,7 +44,8 @@ Counts = dict[AlarmPriority, int]
 
 
 class CauseSummary(msgspec.Struct, frozen=True):
-    """A cause in a form that is put into words for each reader (:class:`app.line.live.diagnosis.Cause`)."""
+    """A cause in a form that is put into words for each reader (:class:`app.line.live.diagnosis.Cause`).
+    ``alarm_in_s``: after how many seconds it becomes an alarm; 0 if it is one, or becomes none."""
 
     code: str
     since: float | None = None
@@ -50,9 +53,10 @@ class CauseSummary(msgspec.Struct, frozen=True):
     motion: str = ""
     mode: str = ""
     why: Message | None = None
+    alarm_in_s: int = 0
 
     @classmethod
-    def from_cause(cls, cause: Cause) -> CauseSummary:
+    def from_cause(cls, cause: Cause, alarm_in_s: float = 0.0) -> CauseSummary:
         params, onset = cause.params, cause.onset
         why = params.get("why")
         return cls(
@@ -62,6 +66,7 @@ class CauseSummary(msgspec.Struct, frozen=True):
             params.get("motion", ""),
             params.get("mode", ""),
             why if isinstance(why, Message) else None,
+            ceil(alarm_in_s),
         )
 
     def cause(self, level: Level) -> Cause:
@@ -138,10 +143,11 @@ def summary_of(
     speeds: Iterable[float | None],
     site: str,
     now: UnixTime,
+    alarm_delay_s: AlarmDelay = no_delay,
 ) -> LineSummary:
     """Return the summary of a line. ``views``: of each unit; ``alarms``: those of the line for people, each
-    with its text; ``site``: its name."""
-    place, cause = _worst(bus, views, now)
+    with its text; ``site``: its name; ``alarm_delay_s``: when a condition becomes an alarm."""
+    place, key, cause = _worst(bus, views, now)
     counts = state_counts(views)
     known = sorted(alarms, key=lambda entry: rank(entry[0]))
     figures = figures_now(bus, now)
@@ -156,7 +162,7 @@ def summary_of(
         _by_priority(alarm for alarm, _ in known if alarm.facts.active),
         _by_priority(alarm for alarm, _ in known if alarm.is_unacknowledged),
         place=place,
-        cause=CauseSummary.from_cause(cause) if cause else None,
+        cause=CauseSummary.from_cause(cause, alarm_delay_s(key, TILES[cause.code].code)) if cause else None,
         alarm=first[1] if first else None,
         alarm_priority=first[0].definition.priority if first else "",
         scan_hz=None if figures is None else figures.scan_hz,
@@ -172,17 +178,16 @@ def view_of(bus: BusLive, number: int, blocked: Message | None, drifted: str, no
     return UnitView(unit, unit_link_now(bus, unit, now), cause)
 
 
-def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, Cause | None]:
-    """Return the cause for the verdict: of the bus, else of the first unit of the highest priority. A
-    condition of low priority is not a verdict on a line."""
-    of_bus = bus_fault(bus, now)
+def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, str, Cause | None]:
+    """Return the cause for the verdict, after name and key of what it is of: the bus, else the first unit of
+    the highest priority. A condition of low priority is not a verdict on a line."""
+    name, of_bus = bus.settings.name, bus_fault(bus, now)
     if of_bus is not None:
-        return bus.settings.name, of_bus
-    shown = (view for view in views if view.level not in ("", "low"))
-    found = [(view.unit.settings.name, view.cause) for view in shown if view.cause]
-    if not found:
-        return "", None
-    return min(found, key=lambda entry: LEVELS.index(entry[1].level))
+        return name, name, of_bus
+    worst = min(views, key=lambda view: LEVELS.index(view.level), default=None)
+    if worst is None or worst.level in ("", "low"):
+        return "", "", None
+    return worst.unit.settings.name, unit_key(name, worst.unit.settings.id), worst.cause
 
 
 def _by_priority(alarms: Iterable[Alarm]) -> Counts:
@@ -195,11 +200,9 @@ READ = (1, 10)
 """The events of a line that are read; more only if the first have no shown kind: after each command, its own
 event is the last."""
 SHOWN: frozenset[EventKind] = frozenset(
-    ("block", "bus", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit", "worker")
+    ("block", "bus", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit")
 )
-"""The kinds that explain the activity of a line; control, sign-ins and notes do not."""
-LATE = "event_readings_late"
-"""Such an event comes at each start of the server: its worker begins earlier."""
+"""The kinds that explain the activity of a line; control, sign-ins, notes and a worker's start do not."""
 DONE = ("verified", "acknowledged")
 FRESH_S = 0.9
 """The age up to which a summary serves another reader."""
@@ -249,7 +252,7 @@ class LastEvents:
     async def _last_shown(self, bus: str) -> Event | None:
         for count in READ:
             found, _ = await self.events.page(Filter(bus=bus, folded=True), count)
-            last = next((event for event in found if _is_shown(event)), None)
+            last = next((event for event in found if event["kind"] in SHOWN), None)
             if last is not None:
                 return last
         return None
@@ -268,11 +271,6 @@ class LastEvents:
         if unit is None:
             return text
         return Message.of("line_event_at", name=unit.settings.name, event=text)
-
-
-def _is_shown(event: Event) -> bool:
-    what = _field(event, "what")
-    return event["kind"] in SHOWN and not (isinstance(what, Message) and what.code == LATE)
 
 
 def _field(event: Event, name: str) -> ParamValue:
@@ -331,7 +329,8 @@ class OwnLines:
         ]
         trace = self._traces.setdefault(name, SpeedTrace())
         trace.note(bus, now)
-        found = summary_of(bus, views, self._alarms_of(name), trace.points, self.site, now)
+        delay_s = self.sources.alarm_delay_s
+        found = summary_of(bus, views, self._alarms_of(name), trace.points, self.site, now, delay_s)
         return replace(found, recipe=self._recipe(name), event=self.events.newest_of(name))
 
     def _recipe(self, bus: str) -> Message | None:

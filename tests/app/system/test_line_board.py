@@ -24,7 +24,7 @@ from tests.for_each import for_each
 
 
 def summary(bus: str, level: Level = "", waiting: int = 0) -> LineSummary:
-    cause = CauseSummary("unit_offline", 10.0) if level else None
+    cause = CauseSummary("unit_offline", 10.0, alarm_in_s=3) if level else None
     counts: dict[AlarmPriority, int] = {"high": waiting} if waiting else {}
     return LineSummary(
         bus,
@@ -128,9 +128,10 @@ def test_the_words_of_a_line() -> None:
     fields = tile(LineOnBoard("a", summary("a", "high", waiting=1), 0.5), "de")
     assert fields["place"] == "Nip"
     assert fields["verdict"].startswith("Keine Antwort seit")
+    assert fields["last"] == "Alarm nach 3 s"
     assert fields["counts"] == "8/8 aktuell · 7 auf Sollwert · 1 in Rampe"
     assert (fields["alarm_mark"], fields["alarms"]) == ("high", "1 Alarm aktiv · 1 zu quittieren")
-    assert (fields["scan"], fields["speed"]) == ("4,6", "110,5")
+    assert (fields["scan"], fields["speed"]) == ("0,22 s", "110,5")
 
 
 def test_a_cleared_alarm_is_never_drawn_as_one_that_is_active() -> None:
