@@ -138,46 +138,42 @@ def _plant_database(services: Services, now: UnixTime) -> SystemRow:
     return SystemRow(name, status.state(now), status.until, Message("system_always"), help=chapter)
 
 
+def _link(
+    name: Message,
+    state: Message,
+    last: UnixTime | None,
+    fault: Message | None,
+    to_do: Message | None,
+    chapter: str,
+) -> SystemRow:
+    """Return the row of a connection, which after a fault tries again by itself."""
+    following = Message("system_retries" if fault else "system_always")
+    return SystemRow(name, state, last, following, to_do, chapter, is_faulty=fault is not None)
+
+
 def _nodes(services: Services, now: UnixTime) -> Iterator[SystemRow]:
     if not services[Nodes]:
         to_do = Message("system_set_broker")
         yield SystemRow(Message("system_no_broker"), Message("system_not_set_up"), to_do=to_do, help="mqtt")
+    check = Message("system_check_broker")
     for node in services[Nodes]:
-        yield SystemRow(
-            Message.of("system_broker", node=node.node.name),
-            node.state(),
-            now - node.lag_s() if node.has_delivered else None,
-            Message("system_retries" if node.status.fault else "system_always"),
-            Message("system_check_broker") if node.status.fault else None,
-            "mqtt",
-            is_faulty=node.status.fault is not None,
-        )
+        name, fault = Message.of("system_broker", node=node.node.name), node.status.fault
+        last = now - node.lag_s() if node.has_delivered else None
+        yield _link(name, node.state(), last, fault, check if fault else None, "mqtt")
     overview = services[Nodes].overview
     if overview is not None:
-        yield SystemRow(
-            Message("system_broker_lines"),
-            overview.state(),
-            next=Message("system_retries" if overview.fault else "system_always"),
-            to_do=Message("system_check_broker") if overview.fault else None,
-            help="mqtt",
-            is_faulty=overview.fault is not None,
-        )
+        name, fault = Message("system_broker_lines"), overview.fault
+        yield _link(name, overview.state(), None, fault, check if fault else None, "mqtt")
 
 
 def _opcua(services: Services, now: UnixTime) -> Iterator[SystemRow]:
+    name = Message("system_opcua")
     if not services[OpcuaProcesses]:
         to_do = Message("system_set_opcua")
-        yield SystemRow(Message("system_opcua"), Message("system_not_set_up"), to_do=to_do, help="opcua")
+        yield SystemRow(name, Message("system_not_set_up"), to_do=to_do, help="opcua")
     for process in services[OpcuaProcesses]:
-        yield SystemRow(
-            Message("system_opcua"),
-            process.state(),
-            now if process.status.is_serving else None,
-            Message("system_retries" if process.fault else "system_always"),
-            process.to_do,
-            "opcua",
-            is_faulty=process.fault is not None,
-        )
+        last = now if process.status.is_serving else None
+        yield _link(name, process.state(), last, process.fault, process.to_do, "opcua")
 
 
 def _certificate(services: Services) -> SystemRow:
@@ -192,16 +188,10 @@ def _certificate(services: Services) -> SystemRow:
 
 def _peers(services: Services, now: UnixTime, monotonic: Monotonic) -> Iterator[SystemRow]:
     for peer in services[LineTiles].board.peers:
-        age = peer.age_s(monotonic)
-        yield SystemRow(
-            Message.of("system_peer", name=peer.name),
-            peer.fault or Message("system_peer_is_read"),
-            None if age is None else now - age,
-            Message("system_retries" if peer.fault else "system_always"),
-            Message("system_check_peer") if peer.fault else None,
-            "several-lines",
-            is_faulty=peer.fault is not None,
-        )
+        age, fault = peer.age_s(monotonic), peer.fault
+        name, last = Message.of("system_peer", name=peer.name), None if age is None else now - age
+        check = Message("system_check_peer") if fault else None
+        yield _link(name, fault or Message("system_peer_is_read"), last, fault, check, "several-lines")
 
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
