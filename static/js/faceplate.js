@@ -118,6 +118,8 @@ document.addEventListener("htmx:finally:request", ({ detail: { ctx } }) => {
   wanted = null;
   if (!plate.querySelector("[data-faceplate-close]")) close();
 });
+// A review has scrolled its button into the window: what the unit does is in sight again.
+document.addEventListener("lineside:done", () => (plate.scrollTop = 0));
 document.addEventListener("keydown", (event) => {
   if (event.key !== "Escape" || event.defaultPrevented) return;
   // Escape closes a review first, wherever it is.

@@ -40,9 +40,10 @@ function show() {
   if (isModal() && !dialog.open) dialog.showModal();
   dialog.classList.toggle("dialog--wide", Boolean(content.querySelector(".review--wide")));
   // Show the head first; the button with the focus is visible anyway.
-  content.querySelector("[data-review-cancel]")?.focus({ preventScroll: true });
+  const cancel = /** @type {HTMLElement | null} */ (content.querySelector("[data-review-cancel]"));
+  cancel?.focus({ preventScroll: true });
   if (isModal()) dialog.scrollTop = 0;
-  else content.scrollIntoView({ block: "nearest" });
+  else for (const part of [content, cancel]) part?.scrollIntoView({ block: "nearest" });
 }
 
 /** Where the result of a review goes; null where it replaces the review.

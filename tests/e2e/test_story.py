@@ -243,7 +243,7 @@ def test_what_is_read_aloud_of_the_other_pages_of_an_operator_is_in_order(
         assert said[2] == "REMOTE"
         in_order = [
             *["Check the emergency stop chain of this unit", "actual", "setpoint", "deviation", "Setpoint"],
-            *["New setpoint", "Set now…", "Add to tray", "Emergency stop", "E-stop input active"],
+            *["New setpoint", "Set now…", "Add to tray", "E-stop input active", "Emergency stop"],
         ]
         places = [said.index(text) for text in in_order]
         assert places == sorted(places)
@@ -270,7 +270,7 @@ def test_what_is_read_aloud_of_the_other_pages_of_an_operator_is_in_order(
         assert said[:5] == ["Lines", "1 line, the worst first", "line", "urgent", name]
         assert said[5].startswith("Stopped: emergency stop active since")
         assert said[6] == "Speed of the first unit:"
-        assert re.fullmatch(r"\d alarms? active · \d to acknowledge", said[9])
+        assert re.fullmatch(r"\d alarms? active · \d to acknowledge", said[10])
         is_announced_in_order(page)
     finally:
         site.line.remote.do("input", unit=4, input="estop", on=False)
