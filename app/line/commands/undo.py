@@ -173,9 +173,9 @@ class UndoStack:
         return self.find(sender, id, now - REVIEW_LASTS_S)
 
     def newest(self, sender: str, now: Monotonic, units: Set[int]) -> SentCommand | None:
-        """Return the newest command to any of these units that can be undone now."""
+        """Return the newest command to these units, and to no other, that can be undone now."""
         undoable = self._undoable(sender, now)
-        return next((each for each in undoable if any(place.unit in units for place in each.new)), None)
+        return next((each for each in undoable if all(place.unit in units for place in each.new)), None)
 
     def _undoable(self, sender: str, now: Monotonic) -> Iterator[SentCommand]:
         newer: set[ValuePlace] = set()
@@ -264,8 +264,9 @@ class Undoing:
         return self._offered(self._stack.find(person.sender, id, self._clock()))
 
     def newest(self, person: Person, units: Set[int], *, names_unit: bool = False) -> UndoOffer | None:
-        """Return the undo of this person's newest command to one of these units, if it can be undone now.
-        ``names_unit``: for a page of several units."""
+        """Return the undo of this person's newest command to these units, and to no other, if it can be
+        undone now: the page of a unit offers no undo of a change of several. ``names_unit``: for a page of
+        several units."""
         return self._offered(self._stack.newest(person.sender, self._clock(), units), names_unit=names_unit)
 
     def clear(self, person: Person) -> None:

@@ -186,6 +186,7 @@ class UndoModel(RuleBasedStateMachine):
         self.values: dict[ValuePlace, int] = dict.fromkeys(
             (ValuePlace("setpoint", 1), ValuePlace("setpoint", 2), ValuePlace("output", 1, 3)), 0
         )
+        self.commands = 0
         self.log: list[Entry] = []
         self.stack = UndoStack(lambda values: all(self.values[place] == raw for place, raw in values.items()))
 
@@ -208,7 +209,8 @@ class UndoModel(RuleBasedStateMachine):
     def command(self, who: str, places: list[ValuePlace], raw: int, known: bool) -> None:
         before, new = {place: self.values[place] for place in places}, dict.fromkeys(places, raw)
         self.values |= new
-        id = f"{len(self.log)}"
+        self.commands += 1
+        id = f"{self.commands}"
         self.log.append((self.now, id, who, before, new, known))
         self.stack.push(who, SentCommand(id, new, before if known else {}, self.now))
 
@@ -239,8 +241,10 @@ class UndoModel(RuleBasedStateMachine):
             for _, id, *_ in self.log:
                 found = self.stack.find(who, id, self.now)
                 assert (None if found is None else dict(found.before)) == can.get(id)
-            newest = self.stack.newest(who, self.now, {1, 2})
-            assert (newest.id if newest else None) == (max(can, key=int) if can else None)
+            for units in ({1}, {1, 2}):
+                mine = [id for id, before in can.items() if {place.unit for place in before} <= units]
+                newest = self.stack.newest(who, self.now, units)
+                assert (newest.id if newest else None) == (max(mine, key=int) if mine else None)
 
 
 TestUndo = UndoModel.TestCase
