@@ -38,7 +38,7 @@ from app.line.live.requests import bus_or_404
 from app.people.audit.api import Events
 from app.people.audit.entry import Event
 from app.people.audit.log import Filter
-from bus.instants import UnixTime
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from bus.validation import Lines, OneLine
 
@@ -135,7 +135,7 @@ async def save_recipe(
     known = bus_or_404(live, bus)
     setpoints = _unit_setpoints(wanted.setpoints)
     if not setpoints:
-        setpoints = {setpoint.unit: setpoint.raw for setpoint in setpoints_now(known.units.values())}
+        setpoints = {setpoint.unit: setpoint.raw for setpoint in setpoints_now(known, unix_now())}
     if not setpoints:
         raise Problem(422, "invalid", Message("no_setpoints_yet"))
     return _recipe_json(await book.save(person, bus, wanted.name, wanted.comment, setpoints), known)

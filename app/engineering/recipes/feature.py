@@ -28,13 +28,14 @@ from app.line.commands.review import by_remark, draw_changes, present_setpoint
 from app.line.commands.rules import setpoint_text
 from app.line.commands.service import CommandService, permitted
 from app.line.live.api.routes import Live
-from app.line.live.bus_live import BusLive, LiveState
+from app.line.live.bus_live import BusLive, LiveState, unit_link_now
 from app.line.live.requests import bus_or_404
 from app.line.live.sources import Sources
 from app.people.audit.log import EventLog
 from bus.catalogue.parameters import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
+from bus.instants import unix_now
 from bus.messages import Message
 from bus.validation import Lines, OneLine, TypedText
 
@@ -69,6 +70,7 @@ async def _list(
         loaded={name: book.loaded(name) for name in live.buses},
         departed={name: book.departed(name) for name in live.buses},
         setpoints={name: _present(bus) for name, bus in live.buses.items()},
+        silent={name: _silent(bus) for name, bus in live.buses.items()},
     )
 
 
@@ -190,11 +192,17 @@ async def retire(
     return RedirectResponse("/recipes", 303)
 
 
+def _silent(bus: BusLive) -> list[str]:
+    """Return the names of the units that do not respond now."""
+    now = unix_now()
+    return [unit.settings.name for unit in bus.units.values() if unit_link_now(bus, unit, now) == "offline"]
+
+
 def _present(bus: BusLive) -> dict[int, str]:
-    """Return the present setpoint of each unit as text; empty if it is not known."""
+    """Return the present setpoint of each unit as text; empty if it is not known, or nothing reports it."""
     known = {
         one.unit: setpoint_text(bus.units[one.unit], one.raw, one.kind)
-        for one in setpoints_now(bus.units.values())
+        for one in setpoints_now(bus, unix_now())
     }
     return dict.fromkeys(bus.units, "") | known
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -20,7 +20,7 @@ from app.line.commands.values import (
     setpoint_scale,
 )
 from app.line.live.api.view import UnitAddress
-from app.line.live.bus_live import BusLive, UnitLive, follower
+from app.line.live.bus_live import BusLive, UnitLive, follower, unit_link_now
 from bus.catalogue.parameters import RATIO_SETPOINT
 from bus.contract.actions import change_s
 from bus.instants import UnixTime
@@ -132,7 +132,7 @@ def _step(
     ramp = ramp_of(unit, present, setpoint.raw)
     ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
     old = None
-    if unit.reading is not None and present is not None:
+    if unit.reading is not None and present is not None and unit_link_now(bus, unit, now) != "offline":
         old = number(setpoint_text(unit, present, setpoint.kind))
     new, measure = setpoint_text(unit, setpoint.raw, setpoint.kind), measure_of_setpoint(unit)
     return RecipeDryRunStep(
@@ -217,10 +217,12 @@ def _commanded_since(unit: UnitLive, kind: SetpointKind, moment: UnixTime) -> bo
     return read is not None and read.at > moment
 
 
-def setpoints_now(units: Iterable[UnitLive]) -> tuple[RecipeSetpoint, ...]:
-    """Return the known present setpoints of units as the start of a recipe."""
+def setpoints_now(bus: BusLive, now: UnixTime) -> tuple[RecipeSetpoint, ...]:
+    """Return the present setpoints of the units that respond, as the start of a recipe."""
     return tuple(
         RecipeSetpoint(unit.settings.id, raw, kind, scale_text(setpoint_scale(unit, raw)))
-        for unit in units
-        if (kind := setpoint_kind(unit)) and (raw := present_raw(unit, kind)) is not None
+        for unit in bus.units.values()
+        if unit_link_now(bus, unit, now) != "offline"
+        and (kind := setpoint_kind(unit))
+        and (raw := present_raw(unit, kind)) is not None
     )

@@ -27,7 +27,7 @@ from app.engineering.recipes.rules import (
 from app.errors import Problem
 from app.line.live.bus_live import LiveState
 from bus.contract import BusLink, ExecuteAll, ExecuteSpeed, ParameterValue, Reading, SetLine, Staged, UnitLink
-from bus.instants import monotonic_now, unix_now
+from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english
 from tests.app.complete_app import House
 from tests.app.fake_worker import until
@@ -244,17 +244,22 @@ def test_a_setpoint_fits_a_unit_that_has_the_scale_it_was_saved_with(
 
 def test_a_recipe_begins_from_the_setpoints_that_are_known() -> None:
     live = a_bus()
-    assert setpoints_now(live.buses["dry-end"].units.values()) == ()
+    bus = live.buses["dry-end"]
+    assert setpoints_now(bus, unix_now()) == ()
     responding(live, commanded=1000)
     follower = [
         ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in ((8, 1), (37, 9900))
     ]
     live.buses["dry-end"].apply(follower)
-    units = live.buses["dry-end"].units
-    assert setpoints_now(units.values()) == (
+    assert setpoints_now(bus, unix_now()) == (
         RecipeSetpoint(1, 1000, "speed", "2:20000,8:0,3:1"),
         RecipeSetpoint(2, 9900, "ratio", "8:1"),
     )
+    later = unix_now() + 700.0
+    assert setpoints_now(bus, UnixTime(later)) == (), "nothing has reported them for a minute"
+    recipe = Recipe("dry-end", "White", "", "anna", UnixTime(0.0), (RecipeSetpoint(1, 900, "speed"),))
+    (step,) = dry_run(recipe, bus, lambda *_: None, UnixTime(later)).steps
+    assert (step.old, step.obstacle) == (None, Message("obstacle_offline"))
 
 
 async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
