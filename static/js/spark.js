@@ -70,7 +70,7 @@ export function outline({ t, avg }, from, { least, most }, step) {
   return d;
 }
 
-/** The at-speed band around a setpoint.
+/** The at-speed band around a setpoint, as far as it is known.
  * @param {Spark} commanded @param {number} from @param {Scale} scale @param {number} window */
 export function band({ t, avg }, from, { least, most }, window) {
   const y = (/** @type {number} */ at) => (HEIGHT - ((at - least) / (most - least)) * HEIGHT).toFixed(1);
@@ -79,7 +79,7 @@ export function band({ t, avg }, from, { least, most }, window) {
     const [middle, begun] = [avg[i], t[i]];
     if (middle === null) continue;
     while (avg[i + 1] === middle) i += 1;
-    const [x, next] = [begun, t[i + 1] ?? from + SPAN_S].map((at) => (((at - from) / SPAN_S) * WIDTH).toFixed(1));
+    const [x, next] = [begun, avg[i + 1] == null ? t[i] : t[i + 1]].map((at) => (((at - from) / SPAN_S) * WIDTH).toFixed(1));
     d += `M${x} ${y(middle + window)}H${next}V${y(middle - window)}H${x}Z`;
   }
   return d;

@@ -148,7 +148,7 @@ def test_a_closed_bus_leaves_the_other_its_controls(site: Site, shared_page: Ope
         expect(page.locator(".top__verdict")).to_contain_text("wet · Port closed since")
         page.get_by_role("button", name="Set line to zero").click()
         expect(page.locator("[data-review-act]")).to_have_text("Set 3 units to speed 0")
-        expect(page.locator("#review-body")).to_contain_text("left out: no link to the bus")
+        expect(page.locator("#review-body")).to_contain_text("left out: port closed")
         page.locator("[data-review-act]").click()
         expect(page.locator("[data-review-done=bad]")).to_contain_text("3 of 5 units accepted speed 0")
     finally:

@@ -17,5 +17,5 @@ test("points between equal ones are left out, and a gap stays a gap", () => {
 });
 
 test("the band around a setpoint is one area for as long as it stays", () => {
-  assert.equal(band(spark(50, 50, null, 80, 80), 0, scale, 10), "M0.0 40.0H120.0V60.0H0.0ZM180.0 10.0H600.0V30.0H180.0Z");
+  assert.equal(band(spark(50, 50, null, 80, 80), 0, scale, 10), "M0.0 40.0H60.0V60.0H0.0ZM180.0 10.0H240.0V30.0H180.0Z");
 });

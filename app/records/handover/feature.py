@@ -86,6 +86,7 @@ async def shifts_page(
         address=request.url.path + (f"?{request.url.query}" if request.url.query else ""),
         present=shifts.present(),
         older=_stamp(found[-1].start),
+        begins=await shifts.begin() or unix_now(),
         before=before,
     )
 

@@ -36,7 +36,7 @@ from app.records.handover import notes, signatures
 from app.records.handover.figures import LineFigures, SpanFigures
 from app.records.handover.notes import Note, PictureStore, Quota, RepeatedNoteError, judged
 from app.records.handover.rules import PlainPicture, Shift, instant_of, shift_at, shifts_until, site_time
-from app.records.handover.sheet import write_sheet
+from app.records.handover.sheet import first_event_at, write_sheet
 from app.records.handover.signatures import (
     CORRECT_NOTE,
     SIGN,
@@ -156,6 +156,10 @@ class Handover:
             latest = min(latest, UnixTime(before.timestamp() - 1.0))
         shifts = list(islice(shifts_until(latest, self._starts, self.zone), limit))
         return await self._database.read(lambda connection: _summaries(connection, shifts, latest))
+
+    async def begin(self) -> UnixTime | None:
+        """Return the time at which the record begins."""
+        return await self._database.read(first_event_at)
 
     async def sheet(self, shift: Shift) -> SheetOfShift:
         """Return the sheet of a shift as signed, else as the store is now, all read at one instant."""

@@ -369,6 +369,7 @@ async def write_parameter(
     return page.render(
         "unit/_parameter_done.html",
         outcome=_outcome(page, parameter, result),
+        requested=parameter_message(parameter, raw, page.unit),
         unit=page.on_line,
         row=_row(page, number),
         undo=page.undo(confirmed.id),
