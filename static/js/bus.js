@@ -5,6 +5,10 @@ import { follow } from "./live.js";
 import { language } from "./words.js";
 
 const MAX_LINES = 400;
+/** The frames of a busy bus, a hundred a second, are written together: each writing costs a style of the page. */
+const WRITE_MS = 250;
+/** @type {Frame[]} */
+let unwritten = [];
 const time = new Intl.DateTimeFormat(language, {
   hour: "2-digit",
   minute: "2-digit",
@@ -36,9 +40,16 @@ function line(frame) {
 }
 
 /** @param {HTMLElement} box @param {Frame[]} frames */
-function write(box, frames) {
+function take(box, frames) {
+  if (!unwritten.length) setTimeout(write, WRITE_MS, box);
+  unwritten = [...unwritten, ...frames].slice(-MAX_LINES);
+}
+
+/** @param {HTMLElement} box */
+function write(box) {
   const atEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 40;
-  box.append(...frames.map(line));
+  box.append(...unwritten.map(line));
+  unwritten = [];
   while (box.childElementCount > MAX_LINES) box.firstElementChild?.remove();
   if (atEnd) box.scrollTop = box.scrollHeight;
 }
@@ -71,7 +82,7 @@ export function start() {
     const on = button.getAttribute("aria-pressed") !== "true";
     button.setAttribute("aria-pressed", String(on));
     button.textContent = on ? button.dataset.wordOn : button.dataset.wordOff;
-    if (on) follow([], button.dataset.trace, (frames) => write(box, frames));
+    if (on) follow([], button.dataset.trace, (frames) => take(box, frames));
     else follow([]);
   });
 }
