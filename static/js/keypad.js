@@ -47,7 +47,12 @@ function open(input) {
   pad.dataset.side = left + width / 2 > innerWidth / 2 ? "start" : "end";
   pad.hidden = false;
   document.body.dataset.keypad = "";
+  showTyped();
   uncover();
+}
+
+function showTyped() {
+  pad?.querySelector("[data-keypad-value]")?.replaceChildren(field?.value ?? "");
 }
 
 /** The field is not left behind the pad. */
@@ -97,6 +102,7 @@ export function start() {
     if (touched && target === touched && target === document.activeElement) open(touched);
   });
   document.addEventListener("focusout", ({ relatedTarget }) => relatedTarget?.matches(NUMBERS) || close());
+  document.addEventListener("input", showTyped);
   document.addEventListener("keydown", ({ key }) => key === "Escape" && close());
   document.addEventListener("lineside:changed", () => field && !field.isConnected && close());
   document.addEventListener("lineside:lost", close);

@@ -247,6 +247,7 @@ export function start() {
   if (!dialog) return;
   document.addEventListener("click", (event) => {
     if (event.target.closest("[data-review-cancel]")) dismiss();
+    event.target.closest("[data-result-close]")?.closest(".tray")?.replaceChildren();
   });
   dialog.addEventListener("cancel", (event) => {
     if (content.querySelector("[data-pending]")) event.preventDefault();

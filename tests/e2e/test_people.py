@@ -111,7 +111,7 @@ def test_control_is_requested_in_the_head_and_a_refused_setpoint_goes_on(
     ben.get_by_role("button", name="Set now").click()
     offer = ben.locator("[data-control-offer]")
     offer.get_by_role("button", name="Request control").press("Enter")
-    expect(offer).to_contain_text("Requested from operator")
+    expect(offer).to_contain_text("Asked: operator")
     expect(anna.locator("[role=alert]")).to_contain_text("engineer requests control")
     assert anna.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert anna.evaluate(PAGE_AT) == page_at, "a request moves nothing"

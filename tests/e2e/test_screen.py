@@ -142,7 +142,7 @@ def test_a_line_with_faults_names_them(site: Site, shared_page: OpensPages) -> N
             re.compile(r"Infeed nip · Stopped: emergency stop active since \d\d:\d\d")
         )
         expect(page.locator("h1 a")).to_have_attribute("href", "/units/line/2")
-        expect(page.locator('[data-unit="line/3"] .status')).to_contain_text("In LOCAL")
+        expect(page.locator('[data-unit="line/3"] .status')).to_contain_text("Not in REMOTE")
         expect(page).to_have_title("(2) Line · Lineside")
     finally:
         site.line.remote.do("input", unit=2, input="estop", on=False)

@@ -257,7 +257,7 @@ COPIED = """() => {
 DOUBLED = """() => {
   for (const one of document.querySelectorAll("[data-live]")) one.before(one.cloneNode(true));
 }"""
-STATES = {1: "Stopped: emergency stop", 2: "In LOCAL", 3: "No response"}
+STATES = {1: "Stopped: emergency stop", 2: "Not in REMOTE", 3: "No response"}
 
 
 def stop_all(site: Site) -> None:

@@ -257,9 +257,9 @@ def _stopped_by_input(found: Sequence[NamedCause], worst: str, translator: Trans
 
 
 def _figures(buses: Mapping[str, BusLive], translator: Translator, now: UnixTime) -> Fields:
-    """Return the slowest scan and the fullest wire of all buses."""
+    """Return the slowest scan and the fullest wire of all buses; unknown while those of one are."""
     known = [figures for bus in buses.values() if (figures := figures_now(bus, now)) is not None]
-    if not known:
+    if len(known) < max(len(buses), 1):
         return {"scan": UNKNOWN, "wire": UNKNOWN}
     number = translator.formats.number
     return {

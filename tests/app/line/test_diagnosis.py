@@ -69,8 +69,8 @@ def test_a_unit_at_speed_in_remote_has_none() -> None:
         (STOPPED | {"inputs": HEALTHY}, "high", "Stopped: run input off since 02:22"),
         ({"inputs": HEALTHY}, "urgent", "Turning without run since 02:22"),
         ({"inputs": HEALTHY, "commanded": 0, "actual": 30}, "urgent", "Turning without run since 02:22"),
-        ({"outputs": AT_SPEED}, "low", "In LOCAL since 02:22"),
-        ({"outputs": 0, "actual": 900}, "high", "Off speed: in LOCAL since 02:22"),
+        ({"outputs": AT_SPEED}, "low", "Not in REMOTE since 02:22"),
+        ({"outputs": 0, "actual": 900}, "high", "Off speed: not in REMOTE since 02:22"),
         (OFF_SPEED, "high", "Off speed since 02:22"),
         (STOPPED, "high", "Stopped with run input on since 02:22"),
     ],
@@ -189,12 +189,6 @@ def test_the_text_of_the_strip_has_no_time() -> None:
     assert cause_texts(found, translator(), LATER).text == "Stopped: run input off"
     assert check_text(found, translator()) == "Check the run contact at the drive"
     assert check_text(None, translator()) == ""
-
-
-def test_keylock_is_named_where_19_reports_it() -> None:
-    live = after({"outputs": AT_SPEED})
-    live.buses["dry"].apply([ParameterValue(1, 19, LATER, 2)])
-    assert named(live)[1] == "In KEYLOCK since 02:22"
 
 
 def test_units_that_read_ratios_are_not_shown_as_stopped_or_turning() -> None:

@@ -384,6 +384,9 @@ def test_the_line_s_figures_are_the_worst_of_all_buses() -> None:
         "scan": "0.30 s",
         "wire": "90 %",
     }
+    live.buses["wet"] = line().buses["dry"]
+    changed = shown.render("dry", [], 100.2, include_bus=True)["line_summary"]
+    assert (changed["scan"], changed["wire"]) == ("–", "–")  # noqa: RUF001
 
 
 def test_a_block_is_shown_with_its_reason() -> None:
