@@ -270,7 +270,7 @@ def test_a_row_without_a_text_does_not_start(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_tile_has_the_words_of_its_cause() -> None:
-    assert str(tile_text("not_in_remote", mode="LOCAL")) == "in LOCAL"
+    assert str(tile_text("not_in_remote")) == "not in REMOTE"
     assert str(tile_check("worker_silent")) == "Check that the bus worker runs and reaches this server"
     assert tile_text("drift") is None, "it names the parameters"
     assert tile_check("blocked") is None, "a person has decided that"

@@ -137,7 +137,7 @@ async def test_a_port_that_is_not_scanned(admin: httpx.AsyncClient) -> None:
         await scan_ended(admin)
         assert words in unescape((await admin.get(NEXT)).text)
     page = unescape((await admin.get(NEXT, headers={"Accept-Language": "de"})).text)
-    assert "/dev/no-such-port gibt es nicht" in page
+    assert "/dev/no-such-port fehlt" in page
 
 
 async def test_a_scan_ends_when_it_is_told_to(admin: httpx.AsyncClient, house: House) -> None:

@@ -111,7 +111,7 @@ async def test_a_database_that_is_killed_gets_everything_once(tmp_path: Path) ->
             program = await house.program(Role.OPERATOR)
             assert (await program.get("/api/v1/line")).status_code == 200
             assert "lineside_publisher_up 0.0" in (await program.get("/metrics")).text
-            page = await (await house.signed_in(Role.ADMIN)).get("/configuration")
+            page = await (await house.signed_in(Role.ADMIN)).get("/system")
             assert "It lacks what was stored in the last" in page.text
         async with publishing(tmp_path / "site", server.url, "1 s") as house:
             publisher = house.services[Publisher]
