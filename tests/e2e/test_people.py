@@ -193,8 +193,9 @@ ALSO_BLOCKED: list[tuple[str, str, dict[str, Any]]] = [
 def press(
     client: httpx.Client, site: Site, method: str, path: str, arguments: dict[str, Any]
 ) -> httpx.Response:
-    """As a page or a program sends it, with what a review would have put into the form. That of a batch holds
-    the value of its parameter, and may come without."""
+    """As a page or a program sends it, to a unit that responds, with what a review would have put into the
+    form. That of a batch holds the value of its parameter, and may come without."""
+    eventually(lambda: site.unit(1)["link"] == "online", "unit 1 responds")
     form = dict(arguments.get("data", {}))
     if form:
         present = str(setpoint(site, 1))

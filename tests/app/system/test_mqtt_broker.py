@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from app.cli import cli
 from app.cli.check import mqtt
 from app.core.web.shape import iso
-from app.line.history.series.runs import SECOND
+from app.line.history.series.runs import SECOND, micros
 from app.line.history.service import History
 from app.settings import ConfigurationError, load
 from app.system.mqtt import session
@@ -61,6 +61,13 @@ def as_received(sent: Reading) -> tuple[int, float]:
 def node_of(house: House) -> NodeSession:
     (node,) = house.services[Nodes]
     return node
+
+
+def is_confirmed(house: House) -> bool:
+    """Return whether the broker has confirmed all that was sent, so that none of it is sent again."""
+    node = node_of(house)
+    assert node.backlog is not None
+    return node.backlog.received >= max(micros(each.sent_until) for each in node.node.devices.values())
 
 
 async def connected(house: House) -> None:
@@ -125,7 +132,7 @@ async def test_each_reading_comes_once_and_in_order_over_losses(
                 await feed(worker, sent, 10)
                 # What is on its way in the moment of the loss may come twice: nothing is.
                 await until(partial(has, host, "Unit 16", (sent[-1].actual or 0) / 10), "received")
-                await asyncio.sleep(0.2)
+                await until(partial(is_confirmed, house), "the broker has confirmed what was sent")
                 relay.cut()
                 await until(lambda: node_of(house).status.fault is not None, "the connection is lost")
                 await feed(worker, sent, 10)
