@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.core.help.feature import calls_of
-from app.core.help.handbook import BY_NAME, CHAPTERS, MAX_FOUND, Chapter, Handbook, render, slug
+from app.core.help.handbook import BY_NAME, CHAPTERS, MAX_FOUND, Chapter, Handbook, Rendered, render, slug
 from app.core.web.templating import HELP
 from docs import site
 from tests.for_each import for_each
@@ -26,6 +26,10 @@ def handbook() -> Handbook:
 
 def hrefs(html: str) -> list[str]:
     return re.findall(r'<a href="([^"]*)"', html)
+
+
+def blocks_of(chapter: Rendered) -> list[str]:
+    return re.findall(r"<pre.*?</pre>", chapter.html, re.DOTALL)
 
 
 @for_each(("chapter", "language"), product(CHAPTERS, LANGUAGES))
@@ -49,6 +53,7 @@ def test_a_translation_has_every_heading(handbook: Handbook, chapter: Chapter) -
         translated = handbook.chapter(chapter, language)
         assert [each.anchor for each in translated.sections] == [each.anchor for each in english.sections]
         assert translated.title != english.title
+        assert blocks_of(translated) == blocks_of(english), "a command or a file differs"
 
 
 @for_each("place", sorted(HELP.values()))
