@@ -208,6 +208,22 @@ PUBLISHER_DAY_BEHIND: Condition[Callable[[float], bool]] = Condition(
     holds=lambda lag_s: lag_s > DAY_S,
     means="the plant's database of `[postgresql]` has lacked what was stored for a day",
 )
+LINK_ON_DELAY_S = 60.0
+"""The seconds in which a broker or a process that restarts is back."""
+BROKER_LOST: Condition[Callable[[object], bool]] = Condition(
+    "broker_lost",
+    ("minor", "shift"),
+    holds=bool,
+    means="a line, or the overview of the lines, has no connection to the broker of `[mqtt]`",
+    tuning=Tuning(on_delay_s=LINK_ON_DELAY_S),
+)
+OPCUA_LOST: Condition[Callable[[object], bool]] = Condition(
+    "opcua_lost",
+    ("minor", "shift"),
+    holds=bool,
+    means="the OPC UA server of `[opcua]` does not serve",
+    tuning=Tuning(on_delay_s=LINK_ON_DELAY_S),
+)
 
 OF_SERVER = (
     HISTORY_DEGRADED,
@@ -221,6 +237,8 @@ OF_SERVER = (
     EVENTS_NOT_ARCHIVED,
     PUBLISHER_BEHIND,
     PUBLISHER_DAY_BEHIND,
+    BROKER_LOST,
+    OPCUA_LOST,
 )
 
 

@@ -10,7 +10,8 @@ from app.core.messages import DEFAULT
 from app.core.web.templating import Templates
 from app.feature import Feature, Services
 from app.line.alarms.alarm import Alarm
-from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms, SiteAlarms
+from app.line.conditions.catalogue import BROKER_LOST
 from app.line.history.service import History
 from app.line.live.bus_live import LiveState
 from app.line.live.fields import Translator
@@ -42,6 +43,7 @@ def make(services: Services) -> None:
         own = frozenset(each.node.document_topic for each in nodes)
         lines = nodes.overview = BrokerLines(settings.mqtt, board, own)
         services.lifespan.add("lines of the broker", lines.follow)
+    services[SiteAlarms].watch("broker_lost", lambda: BROKER_LOST.holds(nodes.fault) and nodes.fault)
 
 
 def _session(services: Services, name: str, group: str, documents: LineDocuments) -> NodeSession:

@@ -185,6 +185,14 @@ class Nodes(tuple["NodeSession", ...]):
 
     overview: BrokerLines | None = None
 
+    @property
+    def fault(self) -> Message | None:
+        """Why the first of the connections without the broker has none; None if every one has it."""
+        faults = [node.status.fault for node in self]
+        if self.overview is not None:
+            faults.append(self.overview.fault)
+        return next(filter(None, faults), None)
+
 
 class NodeSession:
     """The connection of one edge node to the broker, renewed after each loss. ``summary``: makes the document

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from app.core.database import Database
 from app.feature import Feature, Services
-from app.line.alarms.line_alarms import LineAlarms
+from app.line.alarms.line_alarms import LineAlarms, SiteAlarms
+from app.line.conditions.catalogue import OPCUA_LOST
 from app.line.live.bus_live import LiveState
 from app.settings import Settings
 from app.system.opcua.settings import FOLDER, OpcuaProcesses, OpcuaSettings
@@ -32,6 +33,7 @@ def make(services: Services) -> None:
     )
     services.add(OpcuaProcesses([process]))
     alarms.subscribe(process.note_alarm)
+    services[SiteAlarms].watch("opcua_lost", lambda: OPCUA_LOST.holds(process.fault) and process.fault)
     services.lifespan.add("OPC UA", process.follow, end=process.end)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fastapi import APIRouter
 from starlette.requests import Request
@@ -36,7 +36,8 @@ GB = 1e9
 class SystemRow:
     """A row about one safeguard of the records. ``level``: the priority of its alarm, empty while all is
     well; ``next``: its next time, in words if it runs all the time; ``help``: the chapter about it;
-    ``alarm``: the id of the alarm about a fault; ``is_faulty``: whether there is a fault without one."""
+    ``alarm``: the id of the alarm about a fault; ``is_faulty``: whether a connection has a fault, which has a
+    mark until the alarm has come."""
 
     name: Message | str
     state: Message
@@ -57,8 +58,8 @@ async def system_rows(services: Services, now: UnixTime, monotonic: Monotonic) -
         _alarmed(services, await _disk(services, now), "history_degraded", "disk_low"),
         _alarmed(services, _plant_database(services, now), "publisher_day_behind", "publisher_behind"),
         _alarmed(services, _certificate(services), "certificate_expiring"),
-        *_nodes(services, now),
-        *_opcua(services, now),
+        *_marked(services, _nodes(services, now), "broker_lost"),
+        *_marked(services, _opcua(services, now), "opcua_lost"),
         *_peers(services, now, monotonic),
     ]
     shown = {row.alarm for row in rows}
@@ -93,6 +94,15 @@ def _row_of(services: Services, alarm: Alarm, row: SystemRow) -> SystemRow:
         definition.priority,
         alarm.id,
     )
+
+
+def _marked(services: Services, rows: Iterable[SystemRow], code: str) -> Iterator[SystemRow]:
+    """Yield rows of connections, those with a fault with the mark of their one alarm, once it has come."""
+    alarms = [alarm for alarm in _active(services) if alarm.definition.code == code]
+    for row in rows:
+        if alarms and row.is_faulty:
+            row = replace(row, level=alarms[0].definition.priority, alarm=alarms[0].id)
+        yield row
 
 
 def _backups(services: Services, now: UnixTime) -> SystemRow:

@@ -184,6 +184,8 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
     ),
     "publisher_behind": ([(301.0,)], [(0.0,), (299.0,)], NEVER),
     "publisher_day_behind": ([(DAY + 1,)], [(DAY - 1,)], NEVER),
+    "broker_lost": ([(True,)], [(None,)], NEVER),
+    "opcua_lost": ([(True,)], [(None,)], NEVER),
     "events_not_archived": ([(True,)], [(None,)], NEVER),
     "token_expiring": (
         [(NOW - 300 * DAY, NOW + DAY, NOW, NOW)],

@@ -6,7 +6,9 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from functools import partial
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from click.testing import CliRunner
 from app.cli import cli
 from app.cli.check import mqtt
 from app.core.web.shape import iso
+from app.line.alarms.line_alarms import SiteAlarms
 from app.line.history.series.runs import SECOND, micros
 from app.line.history.service import History
 from app.settings import ConfigurationError, load
@@ -271,6 +274,12 @@ async def test_a_broker_that_refuses_is_stated(tmp_path: Path, more: str, words:
         assert fault is not None
         assert words in in_english(fault)
         assert in_english(node.state()).startswith("node dry-end: the broker 127.0.0.1:")
+        alarms = house.services[SiteAlarms]
+        alarm = alarms.list.alarms["_.broker_lost"]
+        await until(lambda: alarms.present(alarm) == fault, "its alarm")
+        alarm.facts = replace(alarm.facts, active=True)
+        page = (await house.http("admin").get("/system")).text
+        assert f'href="/alarms/{alarm.id}">{in_english(node.state())}' in unescape(page)
 
 
 @for_each(

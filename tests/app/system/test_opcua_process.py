@@ -16,6 +16,7 @@ from asyncua import Client, ua
 from app.cli.check import opcua
 from app.core.database import Database
 from app.core.web.access import Role
+from app.line.alarms.line_alarms import SiteAlarms
 from app.people.auth import store
 from app.people.auth.rules import secret_hash
 from app.people.auth.store import Token
@@ -141,6 +142,8 @@ async def test_a_port_in_use_and_a_missing_package_are_said(
         await until(
             lambda: process.fault and process.fault.code == "opcua_no_package", "the package is missed"
         )
+        alarms = house.services[SiteAlarms]
+        await until(lambda: alarms.present(alarms.list.alarms["_.opcua_lost"]) == process.fault, "its alarm")
         page = (await house.http("admin").get("/system")).text
         assert "asyncua is not installed" in page
     taken.close()
