@@ -39,7 +39,7 @@ from app.engineering.sets.store import SetStore
 from app.errors import Problem, or_404
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import LiveState
-from app.line.live.diagnosis import bus_fault_text
+from app.line.live.diagnosis import no_response_text
 from app.line.live.requests import bus_or_404, unit_or_404
 from bus.catalogue.parameters import PARAMETERS
 from bus.instants import unix_now
@@ -96,7 +96,7 @@ async def _list(
         refused=refused,
         typed_at=typed_at,
         buses=live.buses,
-        faults={name: bus_fault_text(of_bus, unix_now()) for name, of_bus in live.buses.items()},
+        faults={name: no_response_text(of_bus, unix_now()) for name, of_bus in live.buses.items()},
         sets=found[:MAX_LISTED],
         ranges=partial(_ranges, live),
         older=found[MAX_LISTED - 1].id if len(found) > MAX_LISTED else None,

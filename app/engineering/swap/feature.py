@@ -46,7 +46,7 @@ from app.feature import Feature, Services
 from app.line.commands.service import CommandService
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import LiveState, unit_link_now
-from app.line.live.diagnosis import bus_fault_text
+from app.line.live.diagnosis import no_response_text
 from app.line.live.fields import name_on_site, unit_key
 from app.line.live.requests import unit_or_404
 from app.people.audit.log import EventLog
@@ -70,7 +70,7 @@ async def swap_page(
         "swap/page.html",
         bus=bus,
         unit=found,
-        fault=bus_fault_text(live.buses[bus], unix_now()),
+        fault=no_response_text(live.buses[bus], unix_now()),
         responds=unit_link_now(live.buses[bus], found, unix_now()) == "online",
         offers=offers(live, await sets.summaries(), bus, unit),
         swap=swaps.find(bus, unit),

@@ -146,7 +146,7 @@ def unit_cause(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
     without a priority: it is abnormal once, at the bus.
     """
     link, reading = unit_link_now(bus, unit, now), unit.reading
-    if link != "online" and (found := bus_cause(bus, now)) is not None:
+    if link != "online" and (found := connection_cause(bus, now)) is not None:
         return Cause(found.code, "", found.onset, found.params)
     if reading is None:
         return _never_read(bus, unit, now)
@@ -206,8 +206,8 @@ def _never_read(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause:
     return abnormal("unit_offline", Onset(unit.last_response))
 
 
-def bus_cause(bus: BusLive, now: UnixTime) -> Cause | None:
-    """Return why no unit of a bus can be read; None if some can."""
+def connection_cause(bus: BusLive, now: UnixTime) -> Cause | None:
+    """Return why a bus cannot be read, by its worker or its port; None if it can."""
     if bus.worker_lost is not None:
         return abnormal("worker_lost", bus.worker_lost)
     if bus.figures is not None and worker_timed_out(bus, now):
@@ -305,8 +305,11 @@ def _others(
         yield abnormal("drift", params={"why": drifted})
 
 
-def all_offline(bus: BusLive, now: UnixTime) -> Cause | None:
-    """Return one cause for all units of a bus if none responds, since the last of them was lost."""
+def no_response_cause(bus: BusLive, now: UnixTime) -> Cause | None:
+    """Return one cause for all units of a bus if none responds: its connection, else since the last of them
+    was lost; None if a unit responds, or if the only unit of the bus is lost."""
+    if (connection := connection_cause(bus, now)) is not None:
+        return connection
     if any_responds(bus, now):
         return None
     facts = bus_facts(bus, now)
@@ -319,12 +322,7 @@ def all_offline(bus: BusLive, now: UnixTime) -> Cause | None:
     return abnormal("no_unit_responds", max(lost, key=lambda onset: onset.at))
 
 
-def bus_fault(bus: BusLive, now: UnixTime) -> Cause | None:
-    """Return why no unit of a bus responds; None if one does."""
-    return bus_cause(bus, now) or all_offline(bus, now)
-
-
-def bus_fault_text(bus: BusLive, now: UnixTime) -> Message | None:
-    """Return in short why no unit of a bus responds; None if one does."""
-    cause = bus_fault(bus, now)
+def no_response_text(bus: BusLive, now: UnixTime) -> Message | None:
+    """Return the words of a tile for the cause of all units of a bus; None if there is no such cause."""
+    cause = no_response_cause(bus, now)
     return None if cause is None else tile_text(cause.code)

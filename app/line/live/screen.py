@@ -35,8 +35,8 @@ from app.line.live.diagnosis import (
     Level,
     UnitView,
     broken_rung,
-    bus_cause,
-    bus_fault,
+    connection_cause,
+    no_response_cause,
     shown_cause,
     state_counts,
     unit_cause,
@@ -93,7 +93,7 @@ def abnormal_of(buses: Mapping[str, BusLive], views: Views, now: UnixTime) -> li
     """Return everything abnormal, the worst first, in floor order; each cause is named once."""
     found: list[NamedCause] = []
     for name, bus in buses.items():
-        cause = bus_fault(bus, now)
+        cause = no_response_cause(bus, now)
         if cause is not None:
             found.append(NamedCause(name, name, cause))
             continue
@@ -394,7 +394,7 @@ class Screen:
             status = texts.text if _says_since(alarm, cause, bus_name, number) else texts.line
         draw, run = draw_of(bus, unit, now), both_run(bus, unit)
         fields |= draw_fields(draw, self.translator, both_run=run)
-        of_bus = bus_cause(bus, now)
+        of_bus = connection_cause(bus, now)
         return fields | {
             "level": view.level,
             # Abnormal once, at its bus; its own page has the mark of that cause.

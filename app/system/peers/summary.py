@@ -24,7 +24,7 @@ from app.line.live.diagnosis import (
     Cause,
     Level,
     UnitView,
-    bus_fault,
+    no_response_cause,
     shown_cause,
     state_counts,
     unit_cause,
@@ -181,7 +181,7 @@ def view_of(bus: BusLive, number: int, blocked: Message | None, drifted: str, no
 def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, str, Cause | None]:
     """Return the cause for the verdict, after name and key of what it is of: the bus, else the first unit of
     the highest priority. A condition of low priority is not a verdict on a line."""
-    name, of_bus = bus.settings.name, bus_fault(bus, now)
+    name, of_bus = bus.settings.name, no_response_cause(bus, now)
     if of_bus is not None:
         return name, name, of_bus
     worst = min(views, key=lambda view: LEVELS.index(view.level), default=None)
@@ -197,12 +197,12 @@ def _by_priority(alarms: Iterable[Alarm]) -> Counts:
 
 READ_EVERY_S = 1.0
 READ = (1, 10)
-"""The events of a line that are read; more only if the first have no shown kind: after each command, its own
-event is the last."""
+"""How many of the newest events of a line are read: one, as the last is mostly that of a command, and ten if
+it is of a kind that is not shown."""
 SHOWN: frozenset[EventKind] = frozenset(
     ("block", "bus", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit")
 )
-"""The kinds that explain the activity of a line; control, sign-ins, notes and a worker's start do not."""
+"""The kinds of events that say what a line did; control, sign-ins, notes and a worker's start do not."""
 DONE = ("verified", "acknowledged")
 FRESH_S = 0.9
 """The age up to which a summary serves another reader."""

@@ -12,9 +12,9 @@ from app.line.live.bus_live import LiveState, Onset
 from app.line.live.diagnosis import (
     Cause,
     UnitView,
-    all_offline,
     broken_rung,
-    bus_cause,
+    connection_cause,
+    no_response_cause,
     shown_cause,
     state_counts,
     unit_cause,
@@ -256,13 +256,13 @@ def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
 def test_a_bus_names_worker_or_port_and_since_when() -> None:
     live = line()
     bus = live.buses["dry"]
-    assert bus_cause(bus, 100.5) is None
+    assert connection_cause(bus, 100.5) is None
     live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("no such device"))])
     live.buses["dry"].apply([BusLink(at=105.0, link="closed", cause=term("permission denied"))])
     denied = {"why": term("permission denied")}
-    assert bus_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), denied)
+    assert connection_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), denied)
     live.buses["dry"].lose_worker(120.0)
-    assert bus_cause(bus, 130.0) == Cause("worker_lost", "urgent", Onset(120.0))
+    assert connection_cause(bus, 130.0) == Cause("worker_lost", "urgent", Onset(120.0))
 
 
 def test_a_worker_that_stands_still_is_named_before_its_units() -> None:
@@ -270,37 +270,37 @@ def test_a_worker_that_stands_still_is_named_before_its_units() -> None:
     bus = live.buses["dry"]
     figures = BusFigures(at=NOW, scan_hz=4.8, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)
     live.buses["dry"].apply([figures])
-    assert bus_cause(bus, 101.9) is None
-    assert bus_cause(bus, 102.1) == Cause("worker_silent", "urgent", Onset(NOW))
+    assert connection_cause(bus, 101.9) is None
+    assert connection_cause(bus, 102.1) == Cause("worker_silent", "urgent", Onset(NOW))
     live.buses["dry"].apply([reading(at=102.0)])
-    assert bus_cause(bus, 102.1) is None, "a unit responded through it"
+    assert connection_cause(bus, 102.1) is None, "a unit responded through it"
 
 
 def test_a_bus_on_which_no_unit_responds_is_one_cause() -> None:
     bus = line(units=3).buses["dry"]
     bus.apply([reading(1, at=NOW - 50), UnitLink(unit=1, at=NOW, link="offline")])
-    assert all_offline(bus, NOW) is None
+    assert no_response_cause(bus, NOW) is None
     bus.apply([UnitLink(unit=2, at=NOW, link="offline")])
-    assert all_offline(bus, NOW) is None, "the third may be well"
+    assert no_response_cause(bus, NOW) is None, "the third may be well"
     bus.units[3].reading = None
-    assert all_offline(bus, NOW) == Cause("no_unit_responds", "urgent", Onset(NOW))
+    assert no_response_cause(bus, NOW) == Cause("no_unit_responds", "urgent", Onset(NOW))
     bus.apply([UnitLink(unit=3, at=NOW, link="offline")])
-    assert all_offline(bus, NOW) == Cause("no_unit_responds", "urgent", Onset(NOW))
+    assert no_response_cause(bus, NOW) == Cause("no_unit_responds", "urgent", Onset(NOW))
 
 
 def test_units_that_have_their_time_to_respond_first_are_one_cause() -> None:
     bus = line(units=2).buses["dry"]
     for unit in bus.units.values():
         unit.reading = None
-    assert all_offline(bus, NOW + 1) == Cause("no_unit_yet", "low")
-    late = all_offline(bus, NOW + 100)
+    assert no_response_cause(bus, NOW + 1) == Cause("no_unit_yet", "low")
+    late = no_response_cause(bus, NOW + 100)
     assert late == Cause("no_unit_responds", "urgent", Onset(NOW, exact=False))
 
 
 def test_the_only_unit_of_a_bus_is_named_itself() -> None:
     bus = line(units=1).buses["dry"]
     bus.apply([UnitLink(unit=1, at=NOW, link="offline")])
-    assert all_offline(bus, NOW) is None
+    assert no_response_cause(bus, NOW) is None
 
 
 def test_only_units_that_respond_are_in_a_state() -> None:

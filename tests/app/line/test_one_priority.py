@@ -14,7 +14,7 @@ from app.line.conditions.catalogue import CONDITIONS, STATUS, TILES
 from app.line.conditions.condition import MATRIX, PRIORITIES, AlarmPriority, Condition
 from app.line.conditions.unit import BY_READING
 from app.line.live.bus_live import LiveState
-from app.line.live.diagnosis import Cause, abnormal, bus_cause, shown_cause, unit_cause, unit_facts
+from app.line.live.diagnosis import Cause, abnormal, connection_cause, shown_cause, unit_cause, unit_facts
 from app.line.live.fields import cause_texts, check_text
 from bus.contract import BusLink, ParameterValue, UnitLink
 from bus.instants import UnixTime
@@ -91,10 +91,10 @@ def test_a_lost_unit_bus_or_worker_has_the_priority_of_its_alarm() -> None:
     assert (found := cause_of(live, NOW)) is not None
     assert (found.code, found.level) == ("unit_offline", of_alarm("unit_offline"))
     bus.apply([BusLink(at=NOW, link="closed")])
-    assert (found := bus_cause(bus, NOW)) is not None
+    assert (found := connection_cause(bus, NOW)) is not None
     assert (found.code, found.level) == ("port_lost", of_alarm("port_lost"))
     bus.lose_worker(NOW)
-    assert (found := bus_cause(bus, NOW)) is not None
+    assert (found := connection_cause(bus, NOW)) is not None
     assert (found.code, found.level) == ("worker_lost", of_alarm("worker_lost"))
 
 
