@@ -41,6 +41,16 @@ async def settled(line: VirtualLine) -> None:
     await asyncio.sleep(1.5)
 
 
+async def staged_up_to(line: VirtualLine, unit: int) -> tuple[list[int], str]:
+    """Begin to set all units, and wait until one has its value staged. Return the setpoints before, and the
+    command."""
+    await settled(line)
+    before = setpoints(line)
+    command = line.command(SetLine(ALL))
+    await line.until(lambda: entered(line)[unit - 1] == ALL[unit])
+    return before, command
+
+
 @played(4)
 async def test_stage_all_one_broadcast_read_back_all(line: VirtualLine) -> None:
     await settled(line)
@@ -213,9 +223,7 @@ async def test_a_change_whose_time_runs_out_is_withdrawn(line: VirtualLine) -> N
 
 async def unit_2_misses_the_broadcast(line: VirtualLine, *, back: bool) -> Result:
     """It has acknowledged its 502 and is off when the others execute; ``back``: on again right after it."""
-    await settled(line)
-    command = line.command(SetLine(ALL))
-    await line.until(lambda: entered(line)[1] == 502)
+    _, command = await staged_up_to(line, 2)
     line.faults.set(FaultKind.DEAD, 1.0, 2)
     await line.until(lambda: setpoints(line)[0] == 501)
     if back:
@@ -246,10 +254,7 @@ async def test_a_unit_that_missed_the_broadcast_and_stops_responding_is_reported
 
 @played(4)
 async def test_given_up_before_the_broadcast_it_is_withdrawn(line: VirtualLine) -> None:
-    await settled(line)
-    before = setpoints(line)
-    command = line.command(SetLine(ALL))
-    await line.until(lambda: entered(line)[1] == 502)
+    before, command = await staged_up_to(line, 2)
     line.worker.cancel(command)
     await asyncio.sleep(1.0)
     result = line.result_of(command)
@@ -261,10 +266,7 @@ async def test_given_up_before_the_broadcast_it_is_withdrawn(line: VirtualLine) 
 
 @played(4)
 async def test_a_leaving_worker_finishes_or_withdraws_the_change(line: VirtualLine) -> None:
-    await settled(line)
-    before = setpoints(line)
-    command = line.command(SetLine(ALL))
-    await line.until(lambda: entered(line)[0] == 501)
+    before, command = await staged_up_to(line, 1)
     began = line.loop.time()
     await line.worker.finish()
     assert line.loop.time() - began < 2.0
@@ -275,10 +277,7 @@ async def test_a_leaving_worker_finishes_or_withdraws_the_change(line: VirtualLi
 
 @played(4)
 async def test_a_pulled_cable_in_the_middle_leaves_what_may_be_staged_in_words(line: VirtualLine) -> None:
-    await settled(line)
-    before = setpoints(line)
-    command = line.command(SetLine(ALL))
-    await line.until(lambda: entered(line)[1] == 502)
+    before, command = await staged_up_to(line, 2)
     line.unplug()
     await asyncio.sleep(2.0)
     result = line.result_of(command)

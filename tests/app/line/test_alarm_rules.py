@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from decimal import Decimal
 from itertools import product
 from typing import get_args
@@ -38,7 +39,17 @@ from app.line.conditions.condition import (
 from bus.instants import UnixTime
 from tests.app.alarm_model import FOREVER, ModelAlarm
 
-ACTS = ("acknowledge", "silence", "reset", "shelve", "unshelve", "remove", "return", "suppress", "unsuppress")
+CHANGES: dict[str, Callable[[AlarmFacts, AlarmAttributes, UnixTime], Changed]] = {
+    "acknowledge": rules.acknowledge,
+    "silence": rules.silence,
+    "reset": rules.reset,
+    "unshelve": rules.unshelve,
+    "remove": rules.remove_from_service,
+    "return": rules.return_to_service,
+    "suppress": lambda facts, _how, at: rules.suppress(facts, True, at),
+    "unsuppress": lambda facts, _how, at: rules.suppress(facts, False, at),
+}
+ACTS = ("shelve", *CHANGES)
 STEPS = st.one_of(
     st.tuples(st.just("observe"), st.sampled_from((True, False, True, False, None))),
     st.tuples(st.sampled_from(ACTS), st.tuples(st.integers(1, 8), st.booleans())),
@@ -48,23 +59,9 @@ HISTORIES = st.lists(st.tuples(st.integers(1, 4), STEPS), max_size=40)
 
 def act(facts: AlarmFacts, how: AlarmAttributes, word: str, at: float, end: float, once: bool) -> Changed:
     """One act of a person or of the suppression."""
-    match word:
-        case "acknowledge":
-            return rules.acknowledge(facts, how, UnixTime(at))
-        case "silence":
-            return rules.silence(facts, how, UnixTime(at))
-        case "reset":
-            return rules.reset(facts, how, UnixTime(at))
-        case "shelve":
-            return rules.shelve(facts, how, UnixTime(at), for_s=end - at, once=once)
-        case "unshelve":
-            return rules.unshelve(facts, how, UnixTime(at))
-        case "remove":
-            return rules.remove_from_service(facts, how, UnixTime(at))
-        case "return":
-            return rules.return_to_service(facts, how, UnixTime(at))
-        case _:
-            return rules.suppress(facts, word == "suppress", UnixTime(at))
+    if word == "shelve":
+        return rules.shelve(facts, how, UnixTime(at), for_s=end - at, once=once)
+    return CHANGES[word](facts, how, UnixTime(at))
 
 
 @settings(max_examples=3 * settings.default.max_examples)

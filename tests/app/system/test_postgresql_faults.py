@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -20,15 +19,9 @@ from bus.instants import unix_now
 from tests.app.fake_worker import until
 from tests.app.plant_database import published, publishing, rows, write_configuration
 from tests.for_each import for_each
-from tests.postgresql import GUARDED, PASSWORD, USER, fresh_database, needs_postgresql
+from tests.postgresql import GUARDED, PASSWORD, USER, needs_postgresql
 
 pytestmark = needs_postgresql
-
-
-@pytest.fixture
-def database() -> Iterator[str]:
-    with fresh_database() as url:
-        yield url
 
 
 def execute(url: str, *statements: str) -> None:

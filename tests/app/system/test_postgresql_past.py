@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import psycopg
@@ -31,12 +30,6 @@ from tests.postgresql import fresh_database, needs_postgresql
 from tests.sizes import sizes
 
 pytestmark = needs_postgresql
-
-
-@pytest.fixture
-def database() -> Iterator[str]:
-    with fresh_database() as url:
-        yield url
 
 
 def called(folder: Path, *words: str) -> Result:

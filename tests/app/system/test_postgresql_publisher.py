@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -35,17 +34,11 @@ from tests.app.plant_database import (
     reading,
     rows,
 )
-from tests.postgresql import OwnPostgresql, fresh_database, needs_postgresql
+from tests.postgresql import OwnPostgresql, needs_postgresql
 from tests.sizes import sizes
 
 pytestmark = needs_postgresql
 MAX_CATCH_UP_S = 3600.0
-
-
-@pytest.fixture
-def database() -> Iterator[str]:
-    with fresh_database() as url:
-        yield url
 
 
 def polls(start: float, end: float, each: int = 5) -> list[Update]:
