@@ -18,6 +18,13 @@ UNIT = 3
 END_UNDO = (
     "() => { for (const until of document.querySelectorAll('[data-until]')) until.dataset.until = '0'; }"
 )
+LOSE_UNIT = """() => {
+  document.querySelector(".plate").dataset.quality = "offline";
+  document.querySelector(".ladder").dataset.is = "link high";
+  return document.querySelector(".cause__replace").checkVisibility();
+}"""
+"""What a unit that stops responding changes on its page, without the seconds until it is found so; returns
+whether the way to replace it shows."""
 
 
 @pytest.fixture
@@ -94,6 +101,10 @@ def test_nothing_on_a_unit_moves_for_a_command_its_result_its_undo_or_an_alarm(
     faults("mode", unit=UNIT, to="local")
     expect(page.locator(".setting")).to_have_attribute("data-is", "local")
     no_shift(page, "LOCAL")
+    page.set_viewport_size(PHONE)
+    count_shifts(page, "main")
+    assert page.evaluate(LOSE_UNIT)
+    no_shift(page, "a unit that does not respond")
 
 
 def stage(site: Site, by: float) -> dict[int, str]:
