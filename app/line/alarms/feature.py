@@ -74,8 +74,8 @@ class OwnValueWords(NamedTuple):
 
 
 class WrittenAlarm(BaseModel):
-    """The form as it was filled in; without ``place`` it was not. ``change``: the key of the alarm to change,
-    from ``version``."""
+    """The form of an alarm as it was filled in; not filled in yet if ``place`` is empty. ``change``: the key
+    of the alarm to change; ``version``: the one of its versions that the form shows."""
 
     name: WrittenField = ""
     place: WrittenField = ""

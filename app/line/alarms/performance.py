@@ -196,7 +196,7 @@ class AlarmRates:
         return count if self._is_flood else 0
 
     def chatters(self, alarm: str, now: UnixTime) -> bool:
-        """Return whether an alarm came three times within a minute, lately."""
+        """Return whether an alarm came three times within a minute, the last time in the last ten minutes."""
         rises = self._of_alarm.get(alarm)
         if rises is None or len(rises) < RISES_OF_CHATTER or not 0 <= now - rises[-1] < WINDOW_S:
             return False

@@ -422,8 +422,8 @@ DISTURBANCE_S = 5.0
 
 @dataclass(slots=True)
 class FirstOut:
-    """The search for the first alarm of a disturbance of one bus. An alarm alone is not marked; what a unit
-    is set to disturbs nothing at the time at which it is found."""
+    """The search for the first alarm of a disturbance of one bus. A single alarm is not marked. Alarms about
+    parameters take no part: they come when a parameter is read, not when it was changed."""
 
     _first: str | None = None
     _at: UnixTime = UnixTime(0.0)

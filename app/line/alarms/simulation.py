@@ -39,7 +39,7 @@ SimulatedTime = Annotated[InstantObject | None, Field(description="ISO 8601 in U
 
 @dataclass(slots=True)
 class Annunciations:
-    """The times at which an alarm would have been annunciated, and how long it would have stood."""
+    """The times at which an alarm would have been annunciated, and for how long each time."""
 
     at: list[UnixTime] = field(default_factory=list)
     lengths: list[float] = field(default_factory=list)

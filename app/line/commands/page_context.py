@@ -112,8 +112,8 @@ class PageContext:
         nearest: str | Message = "",
         status: int = 422,
     ) -> Response:
-        """Render why there is no review, at the CSS selector ``place``, with a way to control if that is
-        missing. A press on ``nearest`` enters it."""
+        """Render why there is no review, at the CSS selector ``place``, with an offer of control if that is
+        missing. ``nearest``: the closest value that would be accepted, which a press enters."""
         response = self.render(
             "unit/_no_review.html",
             reason=self.explanation(reason if isinstance(reason, Message) else reason.message),

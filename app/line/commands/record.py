@@ -36,7 +36,7 @@ from bus.messages import Message, term
 log = structlog.get_logger()
 
 CommandOrigin = Literal["api", "batch edit", "change tray", "page", "restore", "unit swap"]
-"""The way on which a command came; a recipe is named by a message."""
+"""The way in which a command was sent; for a recipe it is a message with its name."""
 
 
 @dataclass(frozen=True, slots=True)

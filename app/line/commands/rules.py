@@ -76,7 +76,8 @@ class RuleContext:
 
 SetpointKind = Literal["speed", "ratio"]
 Basis = Literal["protocol", "display", "ratio", "limits"]
-"""Source of a limit: 82h, #2, #38 and #31, or an engineer."""
+"""The source of a limit: the protocol (82h), the maximum display value (#2), the limits of a ratio (#38 and
+#31), or an engineer."""
 KIND_OF_PARAMETER: dict[int, SetpointKind] = {SPEED_SETPOINT: "speed", RATIO_SETPOINT: "ratio"}
 """The parameters in which a unit keeps its setpoint."""
 _DECIDING: dict[SetpointKind, tuple[int, ...]] = {

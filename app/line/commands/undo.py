@@ -2,7 +2,7 @@
 
 The setpoint of a unit, an output, the analog output and a parameter are each one place. A command can be
 undone for a minute, while every value that it set is still there and no newer command of its sender has set
-one of them. A command that was undone makes room for the one before it.
+one of them. Once a command was undone, the one before it can be undone.
 """
 
 from __future__ import annotations

@@ -106,11 +106,12 @@ DAY_S = 86_400.0
 CERTIFICATE_S = 30 * DAY_S
 TOKEN_S = 14 * DAY_S
 TOKEN_SHARE = 0.1
-"""The part of a token's life before its end that alarms: one for a day is no alarm from the start."""
+"""The last part of a token's life, in which its end raises an alarm: a token for one day raises none at
+first."""
 BACKUP_S = 26 * 3600.0
-"""A day in seconds, and time for a large backup."""
+"""The seconds after which a nightly backup is overdue: a day, and the time that a large one takes."""
 PUBLISHER_S = 300.0
-"""Seconds, long enough that a restart of the database is no alarm."""
+"""The seconds without the plant's database that raise no alarm, because it may be restarting."""
 IN_USE_S = 30 * DAY_S
 """The seconds without use after which an expiring token raises no alarm."""
 
@@ -130,8 +131,8 @@ def token_expires(
 
 
 def backup_is_overdue(newest: UnixTime | None, now: UnixTime, after_s: float = BACKUP_S) -> bool:
-    """Return whether backups are missing; ``newest``: None if there are to be none. A time in the future
-    comes from a clock that was wrong, and proves as little as one long past."""
+    """Return whether a backup is overdue. ``newest``: the time of the newest one; None if none are
+    configured. A time in the future comes from a clock that was wrong, and counts as overdue too."""
     return newest is not None and abs(now - newest) > after_s
 
 

@@ -1,5 +1,5 @@
-"""The worker of one bus, when another may replace it, and how far it was followed; the units that may hold
-a staged speed when it is replaced.
+"""The feed of one bus: its worker, when another worker may replace it, and until when its readings have
+arrived; and the units that may hold a staged speed when the worker is replaced.
 
 Commands are verified by what a worker reports, so a bus goes to another worker only once the former one is
 provably gone: it announced its end, or its connection ended and it did not return in time. A worker that

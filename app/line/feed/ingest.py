@@ -1,4 +1,5 @@
-"""The messages of one worker, in their fixed order, on the app's clock and within a quota: no socket.
+"""The intake of one worker's messages, in their fixed order, with times moved to the app's clock, and within
+a quota. The socket itself is in ``app.line.feed.socket``.
 
 ``Hello`` → Welcome → ``Snapshot`` → backlog → ``Batch`` after ``Batch``. A batch counts once for each worker
 and number; a missing number requests a new snapshot. A malformed message is not applied at all; of a
@@ -48,7 +49,7 @@ from bus.pacing import Bucket
 PER_S = 2_000.0
 """Updates of the live state a second, each of which goes to every open page."""
 MAX_AT_ONCE = 10_000.0
-"""A complete snapshot, or the backlog of a quarter of an hour."""
+"""The most updates that may come at once: a complete snapshot, or the backlog of a quarter of an hour."""
 LATE_COST = 0.25
 """The cost of an update that goes to history only."""
 TEXT_COST = 40.0

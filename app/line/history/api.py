@@ -1,5 +1,5 @@
-"""``GET /api/v1/history`` and its relatives. Every request names a span, and may name values and a number of
-points; limits are refused in words."""
+"""The routes below ``GET /api/v1/history``. Every request names a span, and may name values and a number of
+points; a request beyond the limits is refused with the reason."""
 
 from __future__ import annotations
 

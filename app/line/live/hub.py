@@ -55,14 +55,14 @@ from bus.pacing import Bucket
 
 FLOOD = 60
 WINDOW_S = 0.25
-"""The changed units within a window that make a flood, more than six full wires bring. In a flood updates go
-out once per window, because pages could not draw them all; so do new measurements that may wait, because
-drawing each by itself takes a browser three times the CPU."""
+"""A flood is more than `FLOOD` changed units in `WINDOW_S` seconds, which takes more than six busy wires. In
+a flood updates are sent once per window, because pages could not draw them all. So are new measurements that
+may wait, because drawing each by itself takes a browser three times the CPU."""
 
 FEW_PAGES = 40
 MAX_SENDS_S = 2000
-"""Messages a second that many pages share, to bound the load of the server: 200 pages get ten updates a
-second each, 40 and fewer one for each response."""
+"""The most messages a second to all pages together, if they are more than `FEW_PAGES`: 200 pages get ten
+updates a second each, 40 and fewer one for each response of a unit."""
 
 
 @dataclass(slots=True)

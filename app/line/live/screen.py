@@ -283,8 +283,8 @@ def _is_active(mark: str) -> bool:
 
 
 def _worn(alarm: Fields, level: Level) -> Fields:
-    """Return the mark that a unit wears on the line, and whose ``words``: those of an alarm that is worse
-    than the cause, else those of the cause, without the mark of a lesser alarm."""
+    """Return the mark of a unit on the line, and whose words are beside it. An alarm that is worse than the
+    cause has both; if it is as bad, it has the mark; a lesser alarm has neither."""
     mark = str(alarm.get("alarm", ""))
     place = LEVELS.index(mark.split()[0]) if _is_active(mark) else len(LEVELS)
     cause = LEVELS.index(level)

@@ -1,5 +1,5 @@
 """The acts of people on things other than units: an alarm, a shift, a set, a recipe, an account. Each is an
-event in a log that is kept for good, so an account may act only so often."""
+event in a log that is kept for good, so the acts of an account are limited in rate."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ class Act:
     kind: EventKind
     event: str
     counted: bool = field(default=True, kw_only=True)
-    """Whether it counts for `ActLimit`; not if something else bounds it, as alarms bound their
-    acknowledgement, which nothing may delay."""
+    """Whether the act counts for `ActLimit`. An acknowledgement does not: the number of alarms bounds it, and
+    nothing may delay it."""
 
     def __post_init__(self) -> None:
         if self.event not in TEXTS:

@@ -40,7 +40,7 @@ EVERY_S = 60.0
 WITHIN_S = 10.0
 """The seconds that the medium has for one line, which may be long on a network."""
 AT_END_S = 1.0
-"""The seconds that it has while the server ends, which takes five in total."""
+"""The seconds that the medium has for the last line while the server ends, which takes five in total."""
 _TAIL_BYTES = 65_536
 """The bytes at the end of a file that contain the newest line."""
 T = TypeVar("T")
@@ -48,7 +48,7 @@ log = structlog.get_logger()
 
 
 class AnchorError(StoreError):
-    """Raised when the anchor cannot be read or written; ``reason`` states why in short."""
+    """Raised when the anchor cannot be read or written; ``reason``: the cause in a few words."""
 
     def __init__(self, path: Path, cause: OSError | Message) -> None:
         is_link = isinstance(cause, OSError) and cause.errno == errno.ELOOP

@@ -39,7 +39,7 @@ from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_no
 from bus.messages import Message
 
 EVERY_S = 3600.0
-"""The seconds between two looks whether a month is due, and before the first one."""
+"""The seconds between two checks for months that are due, and before the first check."""
 LEFT_S = 86_400.0
 """The age in seconds at which an unfinished file was left by a server that ended."""
 STEP_S = 60.0

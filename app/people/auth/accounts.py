@@ -1,5 +1,5 @@
-"""Users and tokens as an admin keeps them, by page and by command line, and everyone's own account. Each
-change is an event."""
+"""The users and tokens of a site: an admin manages them by page and by command line, and each user the own
+account. Each change is an event."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class Accounts:
         return await self._database.read(store.tokens)
 
     async def find(self, account: str) -> tuple[str, Role] | None:
-        """Return the account of a name, and its role: a user who may sign in, else a token, which can also be
-        named as such; None if there is none."""
+        """Return the account with a name, and its role: the user who may sign in, or the token if there is no
+        such user or ``account`` names a token as such; None if there is neither."""
         name, only_token = name_of(account)
         now = self._clock()
 

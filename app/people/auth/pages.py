@@ -126,8 +126,8 @@ async def log_panel_in(
 
 @router.get("/login/oidc", dependencies=[Depends(public)])
 async def begin_login(request: Request, single_sign_on: SingleSignOnService, next: str = "/") -> Response:
-    """Redirect to the provider; a signed-in user to the page. After a log-out here the person signs in there
-    again: a panel or a PC may be shared, and the provider may still know the last one."""
+    """Redirect to the provider, or a signed-in user to the page ``next``. After a log-out in this browser the
+    provider requests the password again, because others may use the browser too."""
     if caller_of(request):
         return RedirectResponse(_own_path(next), 303)
     has_logged_out = bool(cookie_of(request, REAUTHENTICATE_COOKIE))

@@ -4,7 +4,8 @@ Authlib speaks OpenID Connect: the address of a login, the redemption of a code,
 The parts that it leaves to its caller are here: how much is read, how long that may take, and when.
 
 Only `Provider.watch` reads metadata and keys, at times of its choice: however many browsers come, the
-provider gets no request for them. A browser that returns from it with a code is one request, in its turn.
+provider gets no request for them. For each browser that returns from it with a code there is one request,
+made when its turn comes.
 """
 
 from __future__ import annotations

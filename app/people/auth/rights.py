@@ -32,7 +32,8 @@ WATCH_EVERY_S = 0.5
 FRESH_S = 1.0
 """Rights that were read more seconds ago permit nothing until the store has been read again."""
 RECHECK_S = 20.0
-"""The seconds between an open connection's checks for rights that end by themselves, as an idle session."""
+"""The seconds between an open connection's checks for rights that end by themselves, such as those of an idle
+session."""
 
 USER_ENDED = Message("rights_user_ended")
 TOKEN_ENDED = Message("rights_token_ended")

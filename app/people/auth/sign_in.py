@@ -1,11 +1,11 @@
 """Signing in and out, how soon that may be tried again, and the first admin.
 
-A name and a place together back off: guessing waits, and no one is locked out elsewhere. A place is a browser
-in which this name has signed in before (OWASP: device cookies), or else the network of the address. Such a
-browser has its own count and waits for nothing else. Of the others a network that fails with many names
-waits, and so does a name that many networks try, except at a network from which anyone has signed in before.
-A network is judged alike for every name, whether a user has it or not: the responses to a shared address do
-not show which names exist.
+After wrong passwords a name has to wait at one place: guessing becomes slow, and no one is locked out at
+another place. A place is a browser in which this name has signed in before (OWASP: device cookies), or else
+the network of the address. Such a browser has its own count and waits for nothing else. A network that fails
+with many names has to wait, and so has a name that many networks try, except at a network from which anyone
+has signed in before. A network is treated in the same way for every name, whether a user has it or not: the
+responses to a shared address do not show which names exist.
 
 The first admin of a site is created in the browser with a code that the server printed at its start: a person
 who reads the output of the server could add a user by the command line as well. The code holds until there is

@@ -1,8 +1,8 @@
 """The points of a chart, and the figures of a unit for reports. Pure.
 
 Any number of readings become at most so many points, with the least, greatest and average value of a bucket.
-The buckets lie on a grid of round widths that does not move with the span, so that a chart drawn again a
-second later does not dance.
+The buckets lie on a grid of round widths that does not move with the span, so that the points of a chart stay
+in their places when it is drawn again a second later.
 
 The figures are how long a unit ran and was at speed, when and why it stood still, how far it went, and its
 draw. It runs while its actual speed is not 0. It is at speed while it runs with a setpoint above 0 and
