@@ -6,9 +6,12 @@ The events there are a second witness of the audit log: :func:`compare` compares
 
 from __future__ import annotations
 
+import os
 import re
+import socket
+import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
@@ -105,6 +108,10 @@ class Destination:
     ) -> None:
         self._settings, self._site, self._identity, self._buses = settings, site, identity, buses
         self._connection: psycopg.Connection[Any] | None = None
+        self._in_use = threading.RLock()
+        self._abandoned = False
+        self._socket: socket.socket | None = None
+        """A second descriptor of the connection's socket, by which another thread can end it."""
         self._months: set[tuple[Table, tuple[int, int]]] = set()
         self._partitioned: set[str] = set()
         self.clock_ahead_s = 0.0
@@ -117,7 +124,7 @@ class Destination:
             return
         require_package()
         with self._in_words():
-            connection = self._connection = self._opened()
+            connection = self._open()
             with connection.transaction():
                 _prepare(connection, self._settings.quoted_schema, self._site, self._identity)
                 self._partitioned = _partitioned(connection, self._settings.quoted_schema)
@@ -136,7 +143,7 @@ class Destination:
 
         require_package()
         with self._in_words():
-            connection = self._connection = self._opened()
+            connection = self._open()
             with connection.transaction():
                 _prepare(connection, self._settings.quoted_schema, self._site, self._identity)
                 _add_month(connection, self._settings.quoted_schema, MONTHLY[0], _month_of(datetime.now(UTC)))
@@ -192,13 +199,29 @@ class Destination:
             return found
 
     def abandon(self) -> None:
-        """End the connection, also while a thread waits for it."""
+        """End the connection. If another thread uses it, that one gets an error and closes it: libpq would go
+        on in freed memory if it were closed here."""
+        if self._in_use.acquire(blocking=False):
+            try:
+                self._close()
+            finally:
+                self._in_use.release()
+            return
+        self._abandoned = True
+        if self._socket is not None:
+            with suppress(OSError):
+                self._socket.shutdown(socket.SHUT_RDWR)
+
+    def _close(self) -> None:
         connection, self._connection = self._connection, None
+        self._abandoned = False
         self._months.clear()
         if connection is not None:
             connection.close()
+        if self._socket is not None:
+            self._socket.close()
 
-    def _opened(self) -> psycopg.Connection[Any]:
+    def _open(self) -> psycopg.Connection[Any]:
         import psycopg
 
         file = self._settings.password_file
@@ -206,7 +229,7 @@ class Destination:
             password = None if file is None else read_secret_text(file)
         except SecretFileError as error:
             raise PublishError(error.message) from error
-        return psycopg.connect(
+        connection = self._connection = psycopg.connect(
             self._settings.url,
             autocommit=True,
             application_name="lineside",
@@ -217,6 +240,8 @@ class Destination:
             options=OPTIONS,
             password=password,
         )
+        self._socket = socket.socket(fileno=os.dup(connection.fileno()))
+        return connection
 
     def _copy(self, connection: psycopg.Connection[Any], table: Table, rows: Sequence[Row]) -> None:
         schema, columns = self._settings.quoted_schema, ("site", *table.columns)
@@ -261,17 +286,19 @@ class Destination:
 
     @contextmanager
     def _in_words(self) -> Iterator[None]:
-        """Turn errors of psycopg into words, and end the connection: the next attempt opens another."""
+        """Turn errors of psycopg into words, and close the connection: the next attempt opens another."""
         import psycopg
 
-        try:
-            yield
-        except SchemaError:
-            self.abandon()
-            raise
-        except psycopg.Error as error:
-            self.abandon()
-            raise PublishError(self._words(error)) from error
+        with self._in_use:
+            failed = True
+            try:
+                yield
+                failed = self._abandoned
+            except psycopg.Error as error:
+                raise PublishError(self._words(error)) from error
+            finally:
+                if failed:
+                    self._close()
 
     def _words(self, error: psycopg.Error) -> Message:
         from psycopg import errors

@@ -266,7 +266,7 @@ async def test_a_running_server_anchors_its_head_every_minute(
         for _ in range(2):
             number = await services[EventLog].record(kind="estop", what="e-stop")
             ring = services[EventLog].keys.ring
-            while not path.exists() or max(read_anchor_file(path, ring).hashes) < number:  # noqa: ASYNC110
+            while not path.exists() or max(read_anchor_file(path, ring).hashes, default=0) < number:  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import psycopg
 import pytest
@@ -13,6 +17,8 @@ from pydantic import ValidationError
 from app.cli import check
 from app.core.database import Database
 from app.core.web.access import Role
+from app.settings import load
+from app.system.postgresql.destination import Destination, PublishError
 from app.system.postgresql.publisher import Publisher, PublisherStatus
 from app.system.postgresql.settings import PostgresqlSettings
 from bus.instants import unix_now
@@ -121,6 +127,33 @@ async def test_the_password_is_read_from_its_file(tmp_path: Path, database: str)
         publisher = house.services[Publisher]
         await until(lambda: publisher.status.fault is not None, "a fault")
         assert "another" not in str(publisher.status.fault)
+
+
+def test_a_connection_is_closed_by_the_thread_that_uses_it(
+    tmp_path: Path, database: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """psycopg frees what libpq still uses if another thread closes: the server ended with SIGSEGV."""
+    settings = load(write_configuration(tmp_path, database, "all"))
+    assert settings.postgresql
+    destination = Destination(settings.postgresql, "Mill 7", "0" * 32, settings.bus)
+    destination.connect()
+    close, closed_here = psycopg.Connection.close, []
+
+    def close_and_note(connection: psycopg.Connection[Any]) -> None:
+        closed_here.append(threading.current_thread() is threading.main_thread())
+        close(connection)
+
+    with ThreadPoolExecutor() as threads, psycopg.connect(database) as locking:
+        locking.execute("LOCK TABLE lineside.event")
+        waiting = threads.submit(destination.hashes, 0, 1)
+        while not rows(database, "SELECT 1 FROM pg_locks WHERE NOT granted"):
+            time.sleep(0.01)
+        with monkeypatch.context() as noting:
+            noting.setattr(psycopg.Connection, "close", close_and_note)
+            destination.abandon()
+            with pytest.raises(PublishError):
+                waiting.result()
+    assert closed_here == [False]
 
 
 async def test_old_months_go_and_none_of_another_site(tmp_path: Path, database: str) -> None:
