@@ -32,7 +32,7 @@ from app.line.commands.catalogue import READ_TRACE, ROLES_BY_COMMAND
 from app.line.commands.pages import bus, line, speed, unit
 from app.line.commands.record import CommandRecord
 from app.line.commands.safeguards import ACTS, Safeguards
-from app.line.commands.service import Commands, CommandService, permitted
+from app.line.commands.service import END_SCAN, Commands, CommandService, permitted
 from app.line.commands.trace_file import trace_line
 from app.line.feed.channel import Channel
 from app.line.live.bus_live import BusLive, LiveState, UnitLive, units_staged
@@ -215,5 +215,5 @@ FEATURE = Feature(
         bus.router,
         unit.router,
     ),
-    ACTS,
+    (*ACTS, END_SCAN),
 )

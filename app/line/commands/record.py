@@ -27,6 +27,7 @@ from app.errors import Problem, StoreError
 from app.line.commands.catalogue import kind_of_command
 from app.line.commands.values import Scales, Wording, reworded
 from app.line.live.bus_live import BusLive
+from app.people.audit.acts import Act
 from app.people.audit.entry import KeyRing
 from app.people.audit.log import EventLog, link_parts
 from bus.contract import Action, Outcome, Result, UnitOutcome
@@ -216,6 +217,10 @@ class CommandRecord:
             )
         except StoreError as error:
             log.error("outcome not stored", command=request.id, outcome=result.outcome, error=str(error))
+
+    async def note(self, act: Act, person: Person, bus: str) -> None:
+        """Record an act of a person on the commands of a bus."""
+        await self._events.record(**act.by(person), bus=bus)
 
     async def reject(self, request: CommandRequest, live: BusLive, problem: Problem) -> None:
         """Record a rejected command with the reason."""

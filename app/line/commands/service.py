@@ -21,7 +21,7 @@ from app.core.web.access import Person, Requires, refuse_without
 from app.core.web.arrival import Deadline
 from app.core.web.services import bus_service, bus_service_of
 from app.errors import Problem, StoreError
-from app.line.commands.catalogue import WRITE_PARAMETER, CommandKind, check, kind_of_command
+from app.line.commands.catalogue import SCAN_BUS, WRITE_PARAMETER, CommandKind, check, kind_of_command
 from app.line.commands.control import controlled
 from app.line.commands.record import (
     CommandKey,
@@ -47,6 +47,7 @@ from app.line.commands.values import Scales, parameter_scale, raw_of_percent, se
 from app.line.feed.channel import Channel
 from app.line.live.bus_live import BusLive, UnitLive
 from app.line.live.requests import new_command_id, unit_of_bus_or_404
+from app.people.audit.acts import Act
 from app.people.auth.rights import Rights
 from bus.catalogue.parameters import DECIMALS, FOLLOWER_MODE, PARAMETERS, RATIO_SETPOINT, Scale
 from bus.catalogue.values import is_follower, parameter_raw, ratio_raw, speed_raw
@@ -63,6 +64,7 @@ MAX_AT_ONCE = 2
 """The most writes of an account at the worker at a time. It carries them out in the order of arrival."""
 MAX_WAITING = 60
 """The most writes of an account that wait for their turn."""
+END_SCAN = Act("end_scan", SCAN_BUS.role, "bus", "event_scan_ended")
 RECHECK_S = 0.25
 """The seconds between checks of the sender's rights: most commands are over by then; a change of the baud
 rate or of many units is not."""
@@ -93,6 +95,8 @@ class CommandService:
         self._moves = Moves()
         self._turns: FairQueue[tuple[str, bool]] = FairQueue(inf, MAX_AT_ONCE, MAX_WAITING)
         self._under_way: set[asyncio.Task[Result]] = set()
+        self._scans: dict[str, list[Message]] = {}
+        """The reasons why each scan under way ends early, by the id of its command."""
         self._write_subscribers: list[BeforeWrite] = []
         self.undo = Undoing(live, monotonic)
 
@@ -385,6 +389,9 @@ class CommandService:
         """Send a command and return its result. If it may no longer continue, the worker is told once to stop
         where nothing is half done, and the reason precedes the message of the result."""
         reasons: list[Message] = []
+        kind = kind_of_command(request.action)
+        if kind is SCAN_BUS and kind.is_event(request.action):
+            self._scans[request.id] = reasons
 
         async def watch() -> None:
             reason = await self._why_no_longer(request, slows=slows)
@@ -394,9 +401,24 @@ class CommandService:
             reasons.append(reason)
             await self._channel.cancel(request.id)
 
-        with _later(RECHECK_S, watch):
-            result = await self._channel.send(command)
+        try:
+            with _later(RECHECK_S, watch):
+                result = await self._channel.send(command)
+        finally:
+            self._scans.pop(request.id, None)
         return replace(result, message=joined((*reasons, result.message))) if reasons else result
+
+    async def end_scans(self, person: Person) -> bool:
+        """End the scans of the bus after the address under way; the result of each names the person. Return
+        whether there was one. Raise Problem 403."""
+        END_SCAN.check(person)
+        ended = {id: reasons for id, reasons in self._scans.items() if not reasons}
+        for id, reasons in ended.items():
+            reasons.append(Message.of("scan_ended_by", who=person.name))
+            await self._channel.cancel(id)
+        if ended:
+            await self._record.note(END_SCAN, person, self._bus)
+        return bool(ended)
 
     async def _why_no_longer(self, request: CommandRequest, *, slows: bool) -> Message | None:
         """Return why a command must not be sent, or be given up; None while it may continue. A store that

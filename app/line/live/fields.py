@@ -8,6 +8,7 @@ language for all browsers, or a list of typed values. Positions are fractions as
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
@@ -40,7 +41,7 @@ from bus.catalogue.parameters import (
     RATIO_SETPOINT,
 )
 from bus.catalogue.values import RATIO_DECIMALS, StatusBits, analog_input_value
-from bus.contract import MAX_MEANING, Frame, Reading, Stage, UnitFigures, UnitLinkState
+from bus.contract import MAX_MEANING, Frame, Progress, Reading, Stage, UnitFigures, UnitLinkState
 from bus.errors import unit_error
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -410,6 +411,21 @@ def _what(cause: Cause, translator: Translator) -> str:
 def _why(cause: Cause, translator: Translator) -> str:
     why = cause.params.get("why")
     return translator.t(why) if isinstance(why, Message) else why or ""
+
+
+def progress_text(progress: Progress, first: Progress, translator: Translator) -> str:
+    """Return how far a command is; of a scan also about how long it goes on, by the time since its ``first``
+    report."""
+    text = translator.t(STAGE_WORDS[progress.stage])
+    if progress.of > 1:
+        text += f" {progress.done}/{progress.of}"
+    if progress.stage != "searching" or progress.done == first.done:
+        return text
+    each_s = (progress.at - first.at) / (progress.done - first.done)
+    left = math.ceil(each_s * (progress.of - progress.done))
+    if left < LONG_RAMP_S:
+        return f"{text} · {translator.t(Message.of('scan_seconds_left', n=left))}"
+    return f"{text} · {translator.t(Message.of('scan_minutes_left', n=round(left / MINUTE_S)))}"
 
 
 def _ramp(params: Mapping[str, Any], translator: Translator) -> Message:

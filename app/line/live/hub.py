@@ -37,12 +37,12 @@ from app.errors import Problem
 from app.line.live.browser import Browser, Diff, LinesUpdate
 from app.line.live.bus_live import Audience, LiveState, changed_by
 from app.line.live.fields import (
-    STAGE_WORDS,
     Groups,
     Translator,
     frame_fields,
     health_fields,
     merge_groups,
+    progress_text,
     unit_key,
 )
 from app.line.live.requests import Admission, key_of
@@ -242,6 +242,8 @@ class Hub:
         """The broadcast of every language requested so far; most have no page now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
         self.admission = Admission()
+        self._scans: dict[str, Progress] = {}
+        """The first report of the newest scan of each bus."""
         self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
         self._watch_limit = Bucket(WATCH_UPDATES_A_SECOND, MAX_WATCH_BURST)
         self._watched_is_due = False
@@ -425,14 +427,14 @@ class Hub:
     def _show_progress(self, bus: str, progress: Progress) -> None:
         """Show the progress of a command or scan. Only the page of its review knows a command's id; the
         progress of a scan goes to every page of its bus."""
-        group, field = f"command/{key_of(progress.id)}", "stage"
+        group, field, first = f"command/{key_of(progress.id)}", "stage", progress
         if progress.stage == "searching":
-            group, field = bus, "searched"
+            group, field, first = bus, "searched", self._scans.get(bus, progress)
+            if first.id != progress.id:
+                first = progress
+            self._scans[bus] = first
         for broadcast in self._with_pages():
-            text = broadcast.screen.translator.t(STAGE_WORDS[progress.stage])
-            if progress.of > 1:
-                text += f" {progress.done}/{progress.of}"
-            broadcast.publish({group: {field: text}})
+            broadcast.publish({group: {field: progress_text(progress, first, broadcast.screen.translator)}})
 
     def _show_health(self, bus: str, figures: BusFigures) -> None:
         watched = self._pages.units(bus)

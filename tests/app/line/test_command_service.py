@@ -28,8 +28,10 @@ from bus.contract import (
     Cancel,
     ChangeBaud,
     Command,
+    FoundUnit,
     ReadParameters,
     Result,
+    ScanBus,
     SetLine,
     SetSpeed,
     UnitOutcome,
@@ -37,7 +39,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.messages import Message, term
-from tests.app.complete_app import House
+from tests.app.complete_app import BUS, House
 from tests.app.fake_worker import PlayedWorker, responding, result_of
 
 ANNA = Person("anna", Role.ENGINEER, "token")
@@ -129,6 +131,27 @@ async def test_a_long_command_is_given_up_when_it_may_not_go_on(
     assert str((await sending).message) == f"{reason}; given up: every unit is back"
     event = next(event for event in await commands(site) if event["unit"] is None)
     assert (event["outcome"], event["message"]) == ("not_sent", f"{reason}; given up: every unit is back")
+
+
+async def test_a_person_ends_a_scan_of_another_and_is_named(site: House, worker: PlayedWorker) -> None:
+    eva, scan = site.http("engineer", "eva"), f"/bus/{BUS}/scan"
+    scanning = asyncio.create_task(site.http("engineer").post(scan, data={"first": "1", "last": "99"}))
+    look = asyncio.create_task(site.commands.send(ANNA, ScanBus(first=9, last=9)))
+    await worker.receive(Command, 2)
+    command, of_swap = sorted(worker.commands, key=lambda each: each.action == ScanBus(first=9, last=9))
+    with pytest.raises(Problem):
+        await site.commands.end_scans(Person("otto", Role.OPERATOR, "session"))
+    assert "The scan ends after the address under way." in (await eva.post(f"{scan}/end")).text
+    assert (await eva.post(f"{scan}/end")).status_code == 204
+    assert await worker.receive(Cancel) == Cancel(command.id)
+    found = [FoundUnit(3, 9600, "digimax", [], [])]
+    message = term("canceled after 3 of 99 addresses")
+    await worker.update(result_of(command, "unverified", message=message, found=found))
+    assert "eva ended the scan; canceled after 3 of 99 addresses" in (await scanning).text
+    await worker.update(result_of(of_swap, "verified"))
+    await look
+    acts, _ = await site.log.page(Filter(kind="bus", who="eva"), 100)
+    assert [event["what"] for event in acts] == ["scan of addresses ended"]
 
 
 @pytest.mark.parametrize("cause", [block, withdraw, hand_over])

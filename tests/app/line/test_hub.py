@@ -324,6 +324,10 @@ async def test_scan_progress_goes_to_pages_of_the_bus(world: World) -> None:
     world.live.buses["dry"].apply([Progress(id="x1", at=100.1, stage="searching", done=17, of=255)])
     (diff,) = await sent(browser)
     assert diff["f"] == {"dry": {"searched": "abgesuchte Adressen: 17/255"}}
+    for at, done, left in ((120.1, 37, "4 min"), (335.1, 252, "4 s")):
+        world.live.buses["dry"].apply([Progress(id="x1", at=at, stage="searching", done=done, of=255)])
+        (diff,) = await sent(browser)
+        assert diff["f"] == {"dry": {"searched": f"abgesuchte Adressen: {done}/255 · noch etwa {left}"}}
     assert "searched" not in world.hub.screen("de").shown["dry"]
 
 

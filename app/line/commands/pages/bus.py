@@ -23,7 +23,7 @@ from app.line.commands.pages.speed import review_setpoint
 from app.line.commands.pages.unit import review_analog_value, review_switch, review_value
 from app.line.commands.review import outcome_text
 from app.line.commands.safeguards import END_READ_ONLY, FORCE_CONTROL, SET_READ_ONLY, TAKE_CONTROL
-from app.line.commands.service import permitted
+from app.line.commands.service import END_SCAN, permitted
 from app.line.commands.undo import UndoOffer
 from app.line.live.hub import Hub
 from bus.contract import (
@@ -115,12 +115,21 @@ async def scan(
     result = await page.send(action, new_id())
     return page.render(
         "bus/_found.html",
+        ending=False,
         outcome=outcome_text(result),
         found=result.found,
         remarks=result.message,
         known=page.bus.units,
         action=action,
     )
+
+
+@router.post("/bus/{bus}/scan/end")
+async def end_scan(person: Annotated[Person, END_SCAN.permitted], page: PageOfBus) -> Response:
+    """End a scan after the address under way; the request that began it shows what it found."""
+    if not await page.commands.end_scans(person):
+        return Response(status_code=204)
+    return page.render("bus/_found.html", ending=True)
 
 
 CHANGE_S = 30.0
