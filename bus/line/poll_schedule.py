@@ -365,13 +365,15 @@ def _strides(units: int, watched: int, poll_s: float) -> tuple[float, float]:
 NEEDED_SHARE = 0.8
 NEEDED_SHARE_OF_MANY = 0.5
 MANY_UNITS = 12
-"""With more units needed parameters get the smaller share, or readings would look stale meanwhile."""
+"""The number of units above which needed parameters get the smaller share, or readings would look stale
+meanwhile."""
 SLOW_SHARE_WATCHED = 0.08
 """A share that, with fences and the slow scan beside it, leaves the scan nine tenths of its rate."""
 SLOW_SHARE_UNWATCHED = 0.95
 BACKGROUND_SHARE = 0.01
 BURST_POLLS = 2
-"""So many polls' time can be saved up, so that short reads between long polls reach their share."""
+"""The number of polls whose time can be saved up, so that short reads between long polls reach their
+share."""
 
 
 class TaskKind(StrEnum):

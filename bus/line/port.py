@@ -18,7 +18,8 @@ from bus.errors import WireError
 from bus.messages import Message
 
 SEARCH_S = 10.0
-"""Between two searches for a program that cannot be found: its files are those of another user."""
+"""The seconds between two searches for a program that cannot be found, because its files are those of another
+user."""
 _found: dict[Path, tuple[float, list[tuple[int, str]]]] = {}
 """By device: when it was last searched for who has it, and who had."""
 

@@ -133,9 +133,10 @@ class UnitStatistics:
 UnitUpdate = Reading | ParameterValue | UnitLink | Staged
 MISSES_TO_STALE = 2
 MISSES_TO_OFFLINE = 3
-"""So many misses in a row make a unit unresponsive; a single one is retried and not reported."""
+"""The number of misses in a row that make a unit unresponsive; a single one is retried and not reported."""
 LOST_AFTER_S = 1.0
-"""So long unresponsive is offline: three requests pass in 0.1 s, and a short burst of noise loses no unit."""
+"""The seconds after which an unresponsive unit is offline: three requests pass in 0.1 s, and a short burst of
+noise must lose no unit."""
 
 
 @dataclass(slots=True)

@@ -125,7 +125,8 @@ class Window:
             self._ring_at(ends)
 
     def close(self) -> None:
-        """End the window. Its alarm still rings in vain, because most are set again before."""
+        """End the window. Its timer may still expire, without effect: most windows are opened again
+        before."""
         self._ends = None
         self._listen_from(None)
 

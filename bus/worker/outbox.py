@@ -20,7 +20,8 @@ from bus.messages import Message
 from bus.settings import Dialect
 
 MAX_READINGS = 30_000
-"""13 minutes of one bus at 9600 baud (38.4 a second). Beyond it the oldest tenth is dropped."""
+"""The most readings that wait: 13 minutes of one bus at 9600 baud (38.4 a second). If there are more, the
+oldest tenth is dropped."""
 MAX_OTHERS = 10_000
 FRAMES_OF_ONE = 10
 ENOUGH_WAITING = 1_000
@@ -147,7 +148,8 @@ def _weight(update: Update) -> int:
 
 
 MAX_TRACES = 8
-"""Far more reads at once than people and programs request: a faulty app must not fill the memory."""
+"""The most reads at once, far more than people and programs request, so that a faulty app cannot fill the
+memory."""
 FRAMES_AT_A_STRETCH = 25
 
 

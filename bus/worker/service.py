@@ -45,7 +45,8 @@ from bus.worker.uplink import Uplink, UplinkTls, is_encrypted
 
 MAX_RESULTS = 2_000
 MAX_COMMANDS = 300
-"""Far more commands at once than people and programs request: a faulty app must not fill the memory."""
+"""The most commands at once, far more than people and programs request, so that a faulty app cannot fill the
+memory."""
 FIGURES_S = 1.0
 FINISH_WITHIN_S = 1.4
 """The seconds that a change in flight may take once the worker has to leave."""

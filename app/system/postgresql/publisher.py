@@ -40,7 +40,8 @@ from bus.settings import BusSettings
 
 EVERY_S = 1.0
 REST = 4.0
-"""The rest after a batch while it is behind, in durations of the batch: people and buses first."""
+"""The pause after a batch while the publisher is behind, as a multiple of the batch's duration, so that
+people and buses come first."""
 MAX_REST_S = 2.0
 RETRY_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 """The seconds between two attempts; the last value repeats."""
