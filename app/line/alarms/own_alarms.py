@@ -35,7 +35,7 @@ from app.line.conditions.condition import AlarmPriority
 from app.line.history.api import HistoryOf
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
-from bus.instants import Clock, UnixTime, unix_now
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from bus.settings import BusSettings
 
@@ -81,7 +81,6 @@ class OwnAlarmBook:
         alarms: LineAlarms,
         database: Database,
         events: EventLog,
-        clock: Clock = unix_now,
     ) -> None:
         self.configured = {own_key(each.bus, each.unit, each.name): each for each in configured}
         self.added: dict[str, OwnAlarm] = {}
@@ -90,7 +89,6 @@ class OwnAlarmBook:
         self._alarms = alarms
         self._database = database
         self._events = events
-        self._clock = clock
         self._acting = asyncio.Lock()
         """Held during an act: names and their number are checked before the alarm is stored."""
 
@@ -139,7 +137,7 @@ class OwnAlarmBook:
             earlier = next((own for own in self.added.values() if request and own.request == request), None)
             if earlier is not None:
                 return self._repeated(earlier, written)
-            own = OwnAlarm(self._fitting(written), person.name, self._clock(), request)
+            own = OwnAlarm(self._fitting(written), person.name, unix_now(), request)
             if len(self.added) + len(self.left_aside) >= MAX_OWN:
                 raise Problem(409, "too_many", Message.of("own_alarms_full", n=MAX_OWN))
             bus, settings = self._bus(own.settings), own.settings
@@ -152,7 +150,7 @@ class OwnAlarmBook:
             self.left_aside.pop(own.key, None)
             bus.add_own(settings, Alarm(own_definition(settings)))
             if stored is not None:
-                bus.list.load({own.key: stored}, self._clock())
+                bus.list.load({own.key: stored}, unix_now())
             self.added[own.key] = own
             return own
 
@@ -171,7 +169,7 @@ class OwnAlarmBook:
         async with self._acting:
             former = self._of_version(key, version)
             settings = proposed(written, self._bus_settings)
-            own = OwnAlarm(settings, person.name, self._clock(), former.request)
+            own = OwnAlarm(settings, person.name, unix_now(), former.request)
             if own.key != key:
                 raise Problem(422, "invalid", Message.of("own_alarm_other_place", name=former.settings.name))
             alarm = await self._end(person, CHANGE_OWN, former, reason, own)
@@ -213,7 +211,7 @@ class OwnAlarmBook:
     ) -> Alarm:
         bus = self._bus(own.settings)
         async with bus.list.writing:
-            alarm, now = bus.list.alarms[own.key], self._clock()
+            alarm, now = bus.list.alarms[own.key], unix_now()
             bus.list.advance(now)
             bus.end_own(alarm)
             transaction = ActTransaction(person.name, [bus.list])

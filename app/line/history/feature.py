@@ -6,7 +6,6 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 from typing import Annotated, Any
 from urllib.parse import parse_qsl, urlencode
 
@@ -218,15 +217,6 @@ def _catalogue(history: History) -> list[dict[str, Any]]:
         for bus in history.buses.values()
         for unit in bus.unit
     ]
-
-
-DEFAULT_VALUES = 8
-
-
-def usual_series(history: History) -> list[str]:
-    """Return the series that the page shows while its address names none."""
-    units = (f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit)
-    return [f"{unit}/actual" for unit in islice(units, DEFAULT_VALUES)]
 
 
 def make(services: Services) -> None:

@@ -35,7 +35,7 @@ from app.errors import StoreError, system_error
 from app.people.audit.entry import Ends, KeyRing
 from app.people.audit.log import EventLog
 from app.people.audit.proof import CHUNK, Cut, Walk, add_cut, cuts_of, heads_text
-from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import Clock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
 EVERY_S = 3600.0
@@ -221,20 +221,19 @@ class EventArchive:
         keep_months: int,
         zone: ZoneInfo,
         clock: Clock = unix_now,
-        monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self.failing: Message | None = None
         """The reason why the last attempt to archive old events failed; usually None."""
         self._database, self._events = database, events
         self._folder, self._keep, self._zone = folder, keep_months, zone
-        self._clock, self._monotonic = clock, monotonic
+        self._clock = clock
 
     async def follow(self) -> None:
         """Archive due months every hour, until canceled."""
         while True:
-            ahead = float(self._clock()) - float(self._monotonic())
+            ahead = float(self._clock()) - float(monotonic_now())
             await asyncio.sleep(EVERY_S)
-            if abs(float(self._clock()) - float(self._monotonic()) - ahead) < STEP_S:
+            if abs(float(self._clock()) - float(monotonic_now()) - ahead) < STEP_S:
                 await self.archive_due()
 
     async def archive_due(self) -> None:

@@ -34,7 +34,7 @@ from app.errors import network_cause, system_error
 from app.people.auth.login_attempt import LoginAttempt, NotAdmittedError, printable
 from app.people.auth.settings import OidcSettings
 from bus.errors import LinesideError
-from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
 REFRESH_WITHIN_S, EXCHANGE_S = 10.0, 8.0
@@ -133,7 +133,6 @@ class Provider:
     responds."""
 
     settings: OidcSettings
-    clock: Clock = unix_now
     monotonic: MonotonicClock = monotonic_now
     fault: Message | None = field(default_factory=lambda: Message("provider_not_read_yet"))
     _metadata: Metadata | None = None
@@ -225,7 +224,7 @@ class Provider:
     def _verified(self, token: str, attempt: LoginAttempt) -> Claims:
         issuer, client_id = self.settings.issuer, self.settings.client_id
         return verified_claims(
-            token, self._keys, issuer=issuer, client_id=client_id, nonce=attempt.nonce, now=self.clock()
+            token, self._keys, issuer=issuer, client_id=client_id, nonce=attempt.nonce, now=unix_now()
         )
 
     async def _redeem(self, metadata: Metadata, code: str, verifier: str, callback: str) -> str:

@@ -25,7 +25,7 @@ from app.core.web.routes import RateLimit
 from app.errors import Problem, StoreError
 from app.line.alarms.journal import JournalEntry
 from app.records.handover.rules import PlainPicture, Shift, plain_picture
-from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import Clock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 from bus.pacing import Bucket
 
@@ -39,12 +39,9 @@ DAY_S, HOUR_S = 86_400.0, 3600.0
 class Quota:
     """A limit on the data that each person stores. ``folder``: the folder of the stores."""
 
-    def __init__(
-        self, folder: Path, clock: Clock = unix_now, monotonic: MonotonicClock = monotonic_now
-    ) -> None:
+    def __init__(self, folder: Path, clock: Clock = unix_now) -> None:
         self._folder = folder
         self._clock = clock
-        self._monotonic = monotonic
         self._taken: defaultdict[str, Bucket] = defaultdict(
             partial(Bucket, MAX_PER_HOUR / HOUR_S, MAX_PER_HOUR)
         )
@@ -62,7 +59,7 @@ class Quota:
 
     def count_note(self, sender: str, parts: int) -> None:
         """Count a note with its pictures. Raise Problem 429 after too many of one sender."""
-        bucket, now = self._taken[sender], self._monotonic()
+        bucket, now = self._taken[sender], monotonic_now()
         if not bucket.take(now, parts):
             problem = Problem(429, "too_many", Message.of("shift_quota_used", n=MAX_PER_HOUR))
             problem.headers.update(self.rate_limit(sender).headers)
@@ -70,7 +67,7 @@ class Quota:
 
     def rate_limit(self, sender: str) -> RateLimit:
         """Return the amount that this sender may still store."""
-        return RateLimit.of_bucket(self._taken[sender], self._monotonic())
+        return RateLimit.of_bucket(self._taken[sender], monotonic_now())
 
 
 MAX_NOTES = 500

@@ -17,7 +17,7 @@ from app.errors import Problem
 from app.line.conditions.condition import PRIORITIES
 from app.records.notification.outbox import Attachment, NotificationDelivery, OutboxItem, ReportNotice
 from app.records.notification.rules import UNACKNOWLEDGED
-from bus.instants import Clock, UnixTime, unix_now
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message, term
 
 PATH = "/notifications/acknowledge"
@@ -150,17 +150,16 @@ class AcknowledgeLinks:
     """The maker of signed links, each to acknowledge one occurrence. A link signs no one in, and opening it
     changes nothing. ``base``: the address of the dashboard; None: no link can be made."""
 
-    def __init__(self, base: str | None, clock: Clock = unix_now) -> None:
+    def __init__(self, base: str | None) -> None:
         self.key = b""
         """The key that signs links; set before the first link is made."""
         self._base = base
-        self._clock = clock
 
     def make(self, alarm_id: str) -> str:
         """Return the link for an occurrence; empty if no link can be made."""
         if self._base is None:
             return ""
-        until = int(float(self._clock())) + VALID_S
+        until = int(float(unix_now())) + VALID_S
         query = {"alarm": alarm_id, "until": until, "signature": self._signature(alarm_id, until)}
         return f"{self._base.rstrip('/')}{PATH}?{urlencode(query)}"
 
@@ -168,7 +167,7 @@ class AcknowledgeLinks:
         """Raise Problem 403 for a link that this dashboard did not make, or that has expired."""
         if not hmac.compare_digest(self._signature(alarm_id, until).encode(), signature.encode()):
             raise Problem(403, "forbidden", Message("notify_link_invalid"))
-        if float(self._clock()) > until:
+        if float(unix_now()) > until:
             raise Problem(403, "forbidden", Message("notify_link_expired"))
 
     def _signature(self, alarm_id: str, until: int) -> str:

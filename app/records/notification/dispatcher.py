@@ -26,7 +26,7 @@ from app.records.notification.rules import (
 )
 from app.records.notification.senders import Senders
 from app.records.notification.settings import minute_of_day
-from bus.instants import Clock, UnixTime, unix_now
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 HEARTBEAT_CHECK_S = 20.0
@@ -47,7 +47,6 @@ class Dispatcher:
         senders: Senders,
         events: EventLog,
         local_time: Callable[[], datetime],
-        clock: Clock = unix_now,
     ) -> None:
         self.plan = plan
         self._outbox = outbox
@@ -56,7 +55,6 @@ class Dispatcher:
         self.failing: set[str] = set()
         """The keys of the addresses that cannot be reached now."""
         self._local_time = local_time
-        self._clock = clock
         self._failures = dict.fromkeys(plan.endpoints, 0)
         self._wakes = {key: asyncio.Event() for key in plan.endpoints}
         self.attempted = asyncio.Event()
@@ -76,8 +74,8 @@ class Dispatcher:
         """Deliver the outbox until canceled."""
         if not self.plan.endpoints:
             await asyncio.Event().wait()
-        await self._outbox.interrupted(self.plan.endpoints, self._clock(), Message("notify_address_removed"))
-        await self._outbox.prune(self._clock())
+        await self._outbox.interrupted(self.plan.endpoints, unix_now(), Message("notify_address_removed"))
+        await self._outbox.prune(unix_now())
         await self._find_failing()
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._beat())
@@ -88,7 +86,7 @@ class Dispatcher:
         """Send a test message like any other and return its delivery after the first attempt; None if that
         takes longer than a person waits."""
         key = f"test:{secrets.token_hex(8)}"
-        await self.add([OutboxItem(key, endpoint.key, "test", self._clock())])
+        await self.add([OutboxItem(key, endpoint.key, "test", unix_now())])
         with suppress(TimeoutError):
             async with asyncio.timeout(TEST_S):
                 while True:
@@ -127,7 +125,7 @@ class Dispatcher:
     async def _take_turn(self, endpoint: NotificationEndpoint) -> None:
         settings, wake = self.plan.settings, self._wakes[endpoint.key]
         wake.clear()
-        now = self._clock()
+        now = unix_now()
         load = await self._outbox.load_of(endpoint.key, now, collects=endpoint.kind != "webhook")
         turn = next_turn(load, settings.flood, settings.digest_s, now)
         if turn.items:
@@ -142,10 +140,10 @@ class Dispatcher:
     async def _attempt(self, endpoint: NotificationEndpoint, delivery: NotificationDelivery) -> None:
         failure: Message | None = None
         try:
-            await self._senders.send(endpoint, delivery, self._clock())
+            await self._senders.send(endpoint, delivery, unix_now())
         except NotDeliveredError as error:
             failure = error.message
-        ended = _ended(delivery, failure, self._clock())
+        ended = _ended(delivery, failure, unix_now())
         await self._conclude(endpoint, ended)
         self._count_failures(endpoint.key, 0 if failure is None else self._failures[endpoint.key] + 1)
         attempted, self.attempted = self.attempted, asyncio.Event()
@@ -188,7 +186,7 @@ class Dispatcher:
             now = self._local_time()
             day = heartbeat_due(before, now, minute)
             if day:
-                at = self._clock()
+                at = unix_now()
                 keys = self.plan.present(now)
                 await self.add(OutboxItem(f"heartbeat:{day}", key, "heartbeat", at) for key in keys)
                 await self._outbox.prune(at)

@@ -276,14 +276,12 @@ class AlarmNotifier:
         maintenance: Maintenance,
         dispatcher: Dispatcher,
         local_time: Callable[[], datetime],
-        clock: Clock = unix_now,
     ) -> None:
         self._alarms = alarms
         self._outbox = outbox
         self._maintenance = maintenance
         self._dispatcher = dispatcher
         self._local_time = local_time
-        self._clock = clock
         self._rules = dispatcher.plan.rules
         self._cursor = 0
         self._open: dict[str, Episode] = {}
@@ -308,7 +306,7 @@ class AlarmNotifier:
         entries = await self._outbox.journal_after(self._cursor)
         cursor = entries[-1].id if entries else self._cursor
         known = [entry for entry in entries if self._alarms.known(entry.alarm) is not None]
-        now = self._clock()
+        now = unix_now()
         done = follow(self._open, known, self._rules, self._maintenance.spans(), now, self._local_time())
         if known or done.notices or done.open != self._open:
             await self._save(done, cursor, {entry.id: entry for entry in known}, now)
@@ -323,7 +321,7 @@ class AlarmNotifier:
             if alarm.is_unacknowledged and (alarm.facts.active or alarm.facts.latched)
         }
         episodes = {**await self._outbox.opened(waiting, self._cursor), **self._open}
-        quiet, now, local = self._maintenance.spans(), self._clock(), self._local_time()
+        quiet, now, local = self._maintenance.spans(), unix_now(), self._local_time()
         followed, items = dict(self._open), []
         for key, alarm in waiting.items():
             episode = episodes.get(key)

@@ -29,7 +29,7 @@ from app.system.configuration.document import (
 )
 from bus.configuration import ConfigurationError, read
 from bus.errors import LinesideError
-from bus.instants import Clock, unix_now
+from bus.instants import unix_now
 from bus.messages import Message
 
 CHANGE = Act("change_configuration", Role.ENGINEER, "configuration", "event_configuration_edited")
@@ -83,12 +83,10 @@ class ConfigurationFile:
         settings: Settings,
         store: VersionStore,
         events: EventLog,
-        clock: Clock = unix_now,
     ) -> None:
         self._store = store
         self._settings = settings
         self._events = events
-        self._clock = clock
         self._one_at_a_time = asyncio.Lock()
 
     @property
@@ -191,7 +189,7 @@ class ConfigurationFile:
             return
         number = await asyncio.to_thread(self._store.next_number)
         origin: VersionOrigin = "found" if newest is None else "by_hand"
-        version = ConfigurationVersion(number, self._clock(), origin, digest)
+        version = ConfigurationVersion(number, unix_now(), origin, digest)
         try:
             await asyncio.to_thread(self._store.add, StoredVersion(version, text))
         except OSError as error:
@@ -233,7 +231,7 @@ class ConfigurationFile:
         number = await asyncio.to_thread(self._store.next_number)
         origin: VersionOrigin = "rolled_back" if act is ROLL_BACK else "changed"
         digest = digest_of(review.text)
-        version = ConfigurationVersion(number, self._clock(), origin, digest, person.account, reason)
+        version = ConfigurationVersion(number, unix_now(), origin, digest, person.account, reason)
         try:
             await asyncio.to_thread(self._store.add, StoredVersion(version, review.text))
             performed = act.by(person, version=number, reason=reason or "-")

@@ -21,7 +21,7 @@ from app.system.mqtt.session import RETRY_S, BrokerError, connected, identifier_
 from app.system.mqtt.settings import MqttSettings, identifier_of
 from app.system.peers.board import AWAY_AFTER_S, LineBoard, Peer
 from app.system.peers.client import ReportError, board_json, read_report
-from bus.instants import Clock, Monotonic, UnixTime, unix_now
+from bus.instants import Monotonic, UnixTime
 from bus.messages import Message, in_english, number
 
 MAX_LINES = 1000
@@ -60,7 +60,6 @@ class BrokerLines:
     settings: MqttSettings
     board: LineBoard
     own: frozenset[str] = frozenset()
-    clock: Clock = unix_now
     fault: Message | None = None
     _peers: dict[str, Peer] = field(default_factory=dict)
     _former: dict[str, tuple[str, Monotonic]] = field(default_factory=dict)

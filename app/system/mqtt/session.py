@@ -34,7 +34,7 @@ from app.system.mqtt.node import NAMESPACE, EdgeNode, Publication
 from app.system.mqtt.settings import MqttSettings
 from bus.contract import Update
 from bus.errors import LinesideError
-from bus.instants import Clock, UnixTime, monotonic_now, unix_now
+from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
 from bus.tls import TlsFileError, load_authority, load_pair
 
@@ -206,12 +206,11 @@ class NodeSession:
         history: History,
         summary: Callable[[], bytes],
         raw_days: int,
-        clock: Clock = unix_now,
     ) -> None:
         self.node = node
         self.status = NodeStatus()
         self._settings, self._database, self._history = settings, database, history
-        self._summary, self._raw_days, self._clock = summary, raw_days, clock
+        self._summary, self._raw_days = summary, raw_days
         self._past = PastReadings(node.bus.settings)
         self.backlog: Backlog | None = None
         self._wake = asyncio.Event()
@@ -268,7 +267,7 @@ class NodeSession:
         bd_seq = backlog.connect()
         await self._store(backlog)
         self._host_is_online = None
-        will = self.node.death(bd_seq, self._clock())
+        will = self.node.death(bd_seq, unix_now())
         identifier = identifier_for(self.node.group, self.node.name)
         try:
             async with connected(self._settings, identifier, will) as client:
@@ -298,7 +297,7 @@ class NodeSession:
 
         with suppress(aiomqtt.MqttError, TimeoutError):
             async with asyncio.timeout(1):
-                death = self.node.death(bd_seq, self._clock())
+                death = self.node.death(bd_seq, unix_now())
                 await client.publish(death.topic, death.payload, QUALITY_OF_SERVICE)
 
     # --- messages of others ---
@@ -311,7 +310,7 @@ class NodeSession:
                 self._take_state(payload)
                 continue
             refused = self.node.refused
-            command = partial(self.node.take_command, topic, payload[:MAX_COMMAND], self._clock())
+            command = partial(self.node.take_command, topic, payload[:MAX_COMMAND], unix_now())
             await self._send(client, command)
             if self.node.refused == 1 > refused:
                 log.warning("command by MQTT refused: nothing is commanded that way", topic=topic[:200])
@@ -334,7 +333,7 @@ class NodeSession:
         if self.status.fault is not None:
             log.info("broker reached again", node=self.node.name)
         self.status.fault, self.status.is_connected = None, True
-        await self._send(client, lambda: self.node.begin(bd_seq, self._clock()))
+        await self._send(client, lambda: self.node.begin(bd_seq, unix_now()))
         self._add_missed(backlog)
         await _first_of(self._send_changes(client, backlog), self._catch_up(client, backlog))
 
@@ -348,7 +347,7 @@ class NodeSession:
 
     def _add_missed(self, backlog: Backlog) -> None:
         """Add the time without a connection to the backlog, for each unit up to its birth's reading."""
-        now = micros(self._clock())
+        now = micros(unix_now())
         ends = {
             number: micros(device.sent_until) if device.sent is not None else now
             for number, device in self.node.devices.items()
@@ -370,7 +369,7 @@ class NodeSession:
                 raise BrokerError(Message.of("mqtt_too_slow", place=self._settings.place))
             self._note_silence(backlog)
             before = self.status.sent
-            await self._send(client, lambda: self.node.changes(self._clock()))
+            await self._send(client, lambda: self.node.changes(unix_now()))
             if self.status.sent > before:
                 await self._confirm(client, backlog)
             await asyncio.sleep(max(FLUSH_S, (self.status.sent - before) / MESSAGES_S))
@@ -381,7 +380,7 @@ class NodeSession:
         if silence is not None and silence != self._silence:
             self._silence = silence
             ends = dict.fromkeys(self.node.devices, micros(silence.until))
-            now = micros(self._clock())
+            now = micros(unix_now())
             backlog.add(micros(silence.since) + 1, ends, now - self._raw_days * DAY)
 
     async def _send(self, client: aiomqtt.Client, made: Callable[[], Iterable[Publication]]) -> None:
@@ -418,7 +417,7 @@ class NodeSession:
         def make() -> Iterable[Publication]:
             nonlocal was_born
             was_born = self.node.is_born(unit)
-            return self.node.historical(unit, rows, self._clock())
+            return self.node.historical(unit, rows, unix_now())
 
         await self._send(client, make)
         await self._confirm(client, backlog)
@@ -446,7 +445,7 @@ class NodeSession:
         waiting = self.backlog.waiting_s()
         if self.status.is_connected:
             return waiting
-        return waiting + max(0.0, float(self._clock()) - self.backlog.received / SECOND)
+        return waiting + max(0.0, float(unix_now()) - self.backlog.received / SECOND)
 
     def state(self) -> Message:
         """Return a sentence about the connection of the node."""

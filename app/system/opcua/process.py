@@ -43,7 +43,7 @@ from app.system.opcua.link import (
 )
 from bus.contract import Update
 from bus.errors import LinesideError
-from bus.instants import Clock, UnixTime, monotonic_now, unix_now
+from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
 from bus.pacing import ReconnectDelay
 
@@ -82,10 +82,9 @@ class OpcuaProcess:
         buses: Sequence[BusLive],
         alarms_of: Callable[[str, int], list[Alarm]],
         database: Database,
-        clock: Clock = unix_now,
     ) -> None:
         self._begin, self._buses, self._alarms_of = begin, buses, alarms_of
-        self._database, self._clock = database, clock
+        self._database = database
         self.status = Status()
         self.fault: Message | None = None
         self.restarts = -1
@@ -235,7 +234,7 @@ class OpcuaProcess:
 
     async def _note_use(self) -> None:
         """Store the time at which the tokens of open sessions were last used."""
-        now, used = self._clock(), set(self.status.accounts)
+        now, used = unix_now(), set(self.status.accounts)
         if not used:
             return
         tokens = await self._database.read(store.tokens)

@@ -34,7 +34,7 @@ from app.line.live.screen import LEVELS, all_well
 from app.line.live.sources import AlarmDelay, Sources, no_delay
 from app.people.audit.entry import EventKind
 from app.people.audit.log import Event, EventLog, Filter, Logged
-from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, ParamValue, term
 
 MAX_POINTS = 60
@@ -288,15 +288,13 @@ class OwnLines:
     sources: Sources
     events: LastEvents
     english: Translator
-    clock: Clock = unix_now
-    monotonic: MonotonicClock = monotonic_now
     _traces: dict[str, SpeedTrace] = field(default_factory=dict)
     _made: list[LineSummary] = field(default_factory=list)
     _made_at: Monotonic = Monotonic(float("-inf"))
 
     def summaries(self) -> list[LineSummary]:
         """Return the summary of each line, less than a second old."""
-        now = self.monotonic()
+        now = monotonic_now()
         if now - self._made_at > FRESH_S:
             self._made = [self._summary(bus) for bus in self.live.buses]
             self._made_at = now
@@ -310,12 +308,12 @@ class OwnLines:
 
     def note_speeds(self) -> None:
         """Take a point for each line if one is due."""
-        now = self.clock()
+        now = unix_now()
         for name, bus in self.live.buses.items():
             self._traces.setdefault(name, SpeedTrace()).note(bus, now)
 
     def _summary(self, name: str) -> LineSummary:
-        bus, now = self.live.buses[name], self.clock()
+        bus, now = self.live.buses[name], unix_now()
         guards, drift = self.sources.guards[name], self.sources.drift[name]
         views = [
             view_of(

@@ -34,7 +34,7 @@ from app.system.postgresql.outbox import (
 )
 from app.system.postgresql.rows import Batch
 from app.system.postgresql.settings import PostgresqlSettings
-from bus.instants import Clock, Monotonic, UnixTime, monotonic_now, unix_now
+from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
 from bus.settings import BusSettings
 
@@ -99,19 +99,18 @@ class Publisher:
         buses: Sequence[BusSettings],
         database: Database,
         history: History,
-        clock: Clock = unix_now,
     ) -> None:
         identity = database.read_now(read_identity)
         self._destination = Destination(to, site, identity, buses)
         self._rows = HistoryRows(buses, to.step)
-        self._database, self._history, self._clock = database, history, clock
+        self._database, self._history = database, history
         self._step = to.step
         self._cursor: Cursor | None = None
         self._stored: Cursor | None = None
         self._store_at = self._keep_up_at = Monotonic(0.0)
         self._shown_until = 0
         self._failures = 0
-        self.status = PublisherStatus(to.place, clock())
+        self.status = PublisherStatus(to.place, unix_now())
 
     async def follow(self) -> None:
         """Publish stored data until canceled."""
@@ -151,7 +150,7 @@ class Publisher:
         StoreError."""
         before = self._cursor = self._cursor or await self._begin()
         await in_thread(self._destination.connect, stop=self._destination.abandon)
-        now, batch = micros(self._clock()), Batch()
+        now, batch = micros(unix_now()), Batch()
         cursor, has_entries = await self._database.read(lambda c: add_entries(c, before, batch))
         read = partial(self._add_readings, cursor=cursor, now=now, batch=batch)
         cursor, has_readings, shown_until = await self._history.read(read)
@@ -160,7 +159,7 @@ class Publisher:
         if has_entries and has_readings:
             cursor = replace(cursor, until=now)
         if batch.size:
-            send = partial(self._destination.send, batch, self._clock())
+            send = partial(self._destination.send, batch, unix_now())
             await in_thread(send, stop=self._destination.abandon)
         self._shown_until = shown_until
         await self._advance(cursor, batch.size)
@@ -183,7 +182,7 @@ class Publisher:
         if stored is None:
             events, alarms = await self._database.read(end_of_logs)
             blocks = await self._history.read(lambda connection, _: end_of_blocks(connection))
-            return Cursor(blocks, events, alarms, micros(self._clock()))
+            return Cursor(blocks, events, alarms, micros(unix_now()))
         self.status = replace(self.status, until=seconds(stored.until))
         again = await self._history.read(lambda c, _: first_block_since(c, stored.until - AGAIN))
         return stored if again is None else replace(stored, blocks=min(stored.blocks, again - 1))
@@ -196,7 +195,7 @@ class Publisher:
             await self._store(cursor)
         if monotonic_now() >= self._keep_up_at:
             self._keep_up_at = monotonic_now() + KEEP_UP_EVERY_S
-            now = self._clock()
+            now = unix_now()
             await in_thread(partial(self._destination.keep_up, now), stop=self._destination.abandon)
 
     async def _store(self, cursor: Cursor) -> None:
