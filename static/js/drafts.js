@@ -143,9 +143,6 @@ export function start() {
   });
   document.addEventListener("lineside:added", ({ detail: form }) => form && canKeep(form) && forget(form));
   document.addEventListener("lineside:done", ({ detail }) => {
-    const form = reviewed;
-    if (form && detail === "good") forget(form);
-    // A person who has left the review has left some fields as they are.
-    else if (form && detail === "") setTimeout(() => keep(form));
+    if (reviewed && detail === "good") forget(reviewed);
   });
 }

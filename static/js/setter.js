@@ -57,8 +57,8 @@ function followUnit(input) {
     delete input.dataset.touched;
     refresh();
   };
-  // What was typed stays until it is set, or until the person leaves its review.
-  document.addEventListener("lineside:done", ({ detail }) => ["good", ""].includes(detail) && forget(), { signal });
+  // What was typed stays until it is set.
+  document.addEventListener("lineside:done", ({ detail }) => detail === "good" && forget(), { signal });
   document.addEventListener("lineside:added", ({ detail }) => detail === input.form && forget(), { signal });
   // A page that was just loaded may have been typed into; one that the browser kept is as it was left.
   addEventListener("pageshow", ({ persisted }) => persisted && forget(), { signal });
@@ -149,6 +149,18 @@ function step(form, percent) {
   }
 }
 
+// --- what the tray of this person holds, wherever its units are shown ------------------------------------
+
+function markTray() {
+  const held = document.querySelector("#tray [data-tray-values]")?.dataset.trayValues ?? "[]";
+  /** @type {Record<string, string>} */
+  const texts = Object.assign({}, ...JSON.parse(held));
+  for (const mark of document.querySelectorAll("[data-in-tray]")) {
+    const text = texts[mark.dataset.inTray ?? ""] ?? "";
+    if (mark.textContent !== text) mark.textContent = text;
+  }
+}
+
 // --- draw, as it becomes by what is typed ---------------------------------------------------------------
 
 /** What is entered for a unit, as a number; NaN for nothing.
@@ -194,10 +206,21 @@ function showDraws() {
   for (const place of document.querySelectorAll("[data-draw]")) showDraw(place);
 }
 
-function followDraws() {
+/** @type {Set<string>} */
+const drawnUnits = new Set();
+
+/** Of the page, or of a faceplate that was opened in it. */
+function listenForDraws() {
   const places = /** @type {HTMLElement[]} */ ([...document.querySelectorAll("[data-draw]")]);
-  const units = new Set(places.flatMap(({ dataset }) => (dataset.draw ?? "").split(" ")));
-  for (const unit of units) listen(unit, (_, changed) => ("setpoint" in changed || "actual" in changed) && showDraws());
+  for (const unit of places.flatMap(({ dataset }) => (dataset.draw ?? "").split(" "))) {
+    if (drawnUnits.has(unit)) continue;
+    drawnUnits.add(unit);
+    listen(unit, (_, changed) => ("setpoint" in changed || "actual" in changed) && showDraws());
+  }
+}
+
+function followDraws() {
+  listenForDraws();
   document.addEventListener("input", showDraws);
   for (const event of ["lineside:done", "lineside:added"])
     document.addEventListener(event, () => setTimeout(showDraws));
@@ -241,7 +264,8 @@ export function start() {
   forgetDone();
   followUnits();
   followDraws();
-  document.addEventListener("lineside:changed", followUnits);
+  markTray();
+  for (const follows of [followUnits, markTray, listenForDraws]) document.addEventListener("lineside:changed", follows);
   document.addEventListener("click", (event) => {
     const button = event.target.closest("[data-pad], [data-use], [data-together-do]");
     if (!button) return;

@@ -110,6 +110,8 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
     expect(strip(page)).to_contain_text(re.compile(r"5 changes\W+3 units"))
     expect(page.locator('[name="new-4"]')).to_have_value("")
 
+    opened(page, "/")
+    expect(page.locator(".tile [data-in-tray='line/4']")).to_have_text("91.0")
     local(5)
     sent = len(writes(site))
     review(page)
@@ -126,6 +128,8 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
     assert writes(site)[sent:] == [0x82, 0x82, 0x83, 0x87, 0x86]
     assert [site.unit(unit)["commanded"] for unit in (3, 4)] == ["90.0", "91.0"]
     expect(strip(page)).to_contain_text(re.compile(r"1 change\W+1 unit"))
+    held = [page.locator(f".tile [data-in-tray='line/{unit}']").inner_text() for unit in (4, 5)]
+    assert held == ["", "92.0"]
 
     page.get_by_role("button", name="Undo: set the former setpoints").click()
     page.get_by_role("button", name="Set 2 units now").click()

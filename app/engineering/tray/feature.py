@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -57,7 +58,14 @@ from app.line.commands.review import OutcomeText, Tone, by_remark, draw_changes,
 from app.line.commands.rules import reason_of
 from app.line.commands.service import CommandService, ParameterWriter, permitted, permitted_writer
 from app.line.commands.undo import UndoOffer, ValuePlace, Values, action_for
-from app.line.commands.values import Scales, differs, parameter_message, parse_scale, scales_of
+from app.line.commands.values import (
+    Scales,
+    differs,
+    parameter_message,
+    parse_scale,
+    scales_of,
+    setpoint_message,
+)
 from app.line.live.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Result, UnitOutcome, UnitScale
@@ -585,25 +593,36 @@ async def add_restore(
 
 
 class TrayCount(NamedTuple):
-    """The number of changes that a person has gathered for one bus."""
+    """The changes that a person has gathered for one bus. ``units``: those with changes (``line/3``), each
+    with its new setpoint or the number of its changes."""
 
     bus: str
     changes: int
-    units: int
+    units: dict[str, str]
+
+
+def _new_values(bus: BusLive, changes: Values, language: Language) -> dict[str, str]:
+    """Return the units with changes, each with its new setpoint or the number of its changes."""
+    counts = Counter(place.unit for place in changes)
+    texts: dict[int, str] = {unit: language.tn("{n} change", "{n} changes", n) for unit, n in counts.items()}
+    for place, raw in changes.items():
+        if place.kind == "setpoint" and place.unit in bus.units:
+            texts[place.unit] = language.t(setpoint_message(raw, bus.units[place.unit]))
+    return {f"{bus.settings.name}/{unit}": text for unit, text in texts.items()}
 
 
 def make(services: Services) -> None:
     for bus in services.buses.values():
         bus.add(Trays())
-    trays_of = services.of_buses(Trays)
+    trays_of, lives = services.of_buses(Trays), services.of_buses(BusLive)
 
-    def counted(person: Caller | None, _: Language) -> list[TrayCount]:
+    def counted(person: Caller | None, language: Language) -> list[TrayCount]:
         if person is None:
             return []
         now = monotonic_now()
         held = {name: trays.changes(person.sender, now) for name, trays in trays_of.items()}
         return [
-            TrayCount(name, len(changes), len({place.unit for place in changes}))
+            TrayCount(name, len(changes), _new_values(lives[name], changes, language))
             for name, changes in held.items()
             if changes
         ]
