@@ -44,6 +44,7 @@ else:
 Clock = Callable[[], UnixTime]
 MonotonicClock = Callable[[], Monotonic]
 
+HOUR_S, DAY_S = 3600.0, 86_400.0
 MIN_STEP_S = 1.0
 
 

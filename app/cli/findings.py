@@ -32,7 +32,7 @@ from app.core.database.migration import (
 )
 from app.core.server.tls import ServerCertificate
 from app.errors import StoreError, TooCostlyError
-from app.line.conditions.catalogue import DAY_S, certificate_expires
+from app.line.conditions.catalogue import certificate_expires
 from app.line.history.status import DiskReserve, space
 from app.people.audit.anchor import anchor_file
 from app.people.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file
@@ -42,7 +42,7 @@ from app.system.backup.stores import read_key
 from app.system.opcua.access import certificate_file
 from app.system.opcua.settings import FOLDER
 from app.system.state.disk import size_of
-from bus.instants import monotonic_now, unix_now
+from bus.instants import DAY_S, monotonic_now, unix_now
 from bus.line.port import why_not
 from bus.messages import Message, ParamValue, number
 from bus.settings import BusSettings

@@ -42,12 +42,11 @@ from app.records.handover.signatures import WRITE_NOTE
 from app.settings import Settings
 from bus.catalogue import parameters as numbers
 from bus.catalogue.parameters import PARAMETERS
-from bus.instants import UnixTime, unix_now
+from bus.instants import DAY_S, HOUR_S, UnixTime, unix_now
 from bus.messages import Message, term
 from bus.simulator.plant import TENSION_AT_REST, TENSION_RUNNING, DemoLine
 from bus.simulator.unit import Unit
 
-DAY_S, HOUR_S = 86_400.0, 3600.0
 MAX_UNITS = 8
 """The number of units with readings: a longer line would take seconds to write."""
 GAP_S = 5.0

@@ -25,11 +25,11 @@ from app.records.handover.figures import reported_buses
 from app.records.handover.rules import EVERYTHING, Shift, shift_at, site_time
 from app.records.handover.signatures import signed_between
 from app.records.reports.report import ReportedUnit, span_report
-from app.records.reports.rules import DAY_S, MAX_DAYS
+from app.records.reports.rules import MAX_DAYS
 from app.records.reports.service import stops_text, units_text
 from app.settings import Settings, load
 from bus.errors import CallerError
-from bus.instants import UnixTime, unix_now
+from bus.instants import DAY_S, UnixTime, unix_now
 from bus.messages import Message, ParamValue, number
 from bus.settings import BusSettings
 

@@ -38,7 +38,7 @@ from app.system.postgresql.outbox import read_cursor
 from app.system.state.disk import forecast, store_sizes
 from app.version import VERSION
 from bus.errors import LinesideError
-from bus.instants import UnixTime, unix_now
+from bus.instants import HOUR_S, UnixTime, unix_now
 from bus.messages import Message, number
 from bus.settings import BusSettings
 from bus.tls import TlsFileError, read_certificate
@@ -72,7 +72,6 @@ def _hello(url: str) -> bytes:
 
 WITHIN_S = 5.0
 MB, GB = 1e6, 1e9
-HOUR_S = 3600.0
 NO_CHECK_TIME = 0x200000
 """X509_V_FLAG_NO_CHECK_TIME (openssl/x509_vfy.h), which the module ssl does not name."""
 

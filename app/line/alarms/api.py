@@ -34,12 +34,11 @@ from app.line.alarms.acts import ALARM_ACTS, AlarmAct
 from app.line.alarms.alarm import Alarm, AlarmRationalization, BusName, UnitNumber
 from app.line.alarms.journal import MAX_OCCURRENCES, AlarmPerformance, JournalEntry, Occurrence, occurrences
 from app.line.alarms.line_alarms import LineAlarms
-from app.line.alarms.performance import DAY_S
 from app.line.alarms.rules import AlarmState, AlarmTrigger
 from app.line.conditions.condition import AlarmGroup, AlarmPriority
 from app.line.history.api import SpanOf
 from app.line.history.service import seconds
-from bus.instants import UnixTime, unix_now
+from bus.instants import DAY_S, UnixTime, unix_now
 from bus.messages import Message, in_english, term
 
 AlarmGroupShown = TypeAliasType("AlarmGroupShown", AlarmGroup)

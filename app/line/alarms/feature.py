@@ -31,8 +31,7 @@ from app.line.alarms.journal import AlarmStore
 from app.line.alarms.line_alarms import AlarmBanner, ExpiryWatch, LineAlarms, SiteAlarms
 from app.line.alarms.own_alarms import OwnAlarmBook, OwnBook, SimulatorOf, WrittenText
 from app.line.alarms.own_condition import proposed
-from app.line.alarms.pages import SEE_OTHER, TypedReason, given_reason, places_of
-from app.line.alarms.performance import DAY_S
+from app.line.alarms.pages import SEE_OTHER, TypedReason, given_reason
 from app.line.alarms.settings import OwnValue
 from app.line.alarms.simulation import AlarmSimulation, Simulator
 from app.line.conditions.catalogue import AUDIT_DEGRADED, DISK_LOW, EVENTS_NOT_ARCHIVED, HISTORY_DEGRADED
@@ -49,7 +48,7 @@ from app.people.audit.anchor import Anchoring, AnchorStatus
 from app.people.audit.archive import EventArchive
 from app.people.audit.log import EventLog
 from app.people.auth.accounts import Accounts
-from bus.instants import monotonic_now, unix_now
+from bus.instants import DAY_S, monotonic_now, unix_now
 from bus.messages import Message, term
 from bus.settings import UnitSettings
 
@@ -177,7 +176,7 @@ def _page(
         "alarms/own.html",
         configured=[(each, alarms.place(each.bus, each.unit), added) for each, added in own.every()],
         left_aside=list(own.left_aside.values()),
-        places=[place for place in places_of(alarms) if "/" in place[0]],
+        places=[place for place in alarms.places() if "/" in place[0]],
         values=_values(request, written["place"]),
         values_of={place: _values(request, place) for place in _places_of(own)},
         spans=SPANS,

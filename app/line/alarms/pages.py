@@ -25,12 +25,12 @@ from app.line.alarms.alarm import Alarm, state_text
 from app.line.alarms.api import Alarms, present_value
 from app.line.alarms.journal import JournalFilter
 from app.line.alarms.line_alarms import LineAlarms, rank
-from app.line.alarms.performance import DAY_S, AlarmFigure
+from app.line.alarms.performance import AlarmFigure
 from app.line.alarms.rules import PRESENT_STATES, AlarmState
 from app.line.conditions.condition import GROUPS
 from app.line.live.hub import Hub
 from app.line.live.screen import ALARM_GROUP
-from bus.instants import UnixTime, unix_now
+from bus.instants import DAY_S, UnixTime, unix_now
 from bus.messages import Message
 from bus.validation import OneLine, TypedText
 
@@ -84,15 +84,6 @@ def _matches(alarm: Alarm, chosen: dict[str, str]) -> bool:
         and bus in ("", definition.bus)
         and unit in ("", str(definition.unit))
     )
-
-
-def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:
-    """Return each bus and each of its units, as filters with their names."""
-    places: list[tuple[str, str]] = []
-    for name, bus in alarms.buses.items():
-        places.append((name, name))
-        places += [(f"{name}/{unit}", f"{name} · {text}") for unit, text in bus.unit_names().items()]
-    return places
 
 
 def _row(alarms: LineAlarms, alarm: Alarm, now: UnixTime) -> AlarmRow:
@@ -166,7 +157,7 @@ async def journal_page(
         place_of=alarms.place,
         chosen=chosen,
         states=[(each, state_text(each)) for each in AFTER],
-        places=places_of(alarms),
+        places=alarms.places(),
         older="&".join(filter(None, (query, older))) if older else "",
         newest=query if before else None,
     )
@@ -219,7 +210,7 @@ async def alarms_page(
         **_list_fields(alarms, chosen, unix_now()),
         chosen=chosen,
         states=[(each, state_text(each)) for each in PRESENT_STATES],
-        places=places_of(alarms),
+        places=alarms.places(),
         groups=GROUPS,
         changed=screen.shown[ALARM_GROUP]["changed"],
         left_out=left_out,

@@ -14,11 +14,10 @@ from pydantic import Field
 from typing_extensions import TypeAliasType
 
 from app.line.conditions.condition import PRIORITIES, AlarmPriority
-from bus.instants import UnixTime
+from bus.instants import DAY_S, UnixTime
 
 WINDOW_S = 600
 """Rates are measured in windows of ten minutes."""
-DAY_S = 86_400
 MANY = 10
 """The alarms in a window above which a flood begins: a person cannot respond to them."""
 FEW = 5

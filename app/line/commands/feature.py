@@ -44,11 +44,10 @@ from app.people.auth.accounts import Accounts
 from app.people.auth.rights import Rights
 from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.contract import Frame, ReadTrace
-from bus.instants import UnixTime, unix_now
+from bus.instants import HOUR_S, UnixTime, unix_now
 from bus.messages import Message, parameter_name
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["trace"], route_class=ApiRoute)
-HOUR_S = 3600.0
 RECENT_S = 60.0
 PIECE = 2000
 MAX_PIECES = 200

@@ -15,7 +15,7 @@ from app.line.conditions.condition import (
     Tuning,
 )
 from app.line.conditions.unit import BY_READING, MIN_FAULTS, OF_UNIT
-from bus.instants import UnixTime
+from bus.instants import DAY_S, UnixTime
 from bus.messages import TEXTS, Message, ParamValue, term
 
 SCAN_BUDGET = 1.5
@@ -102,7 +102,6 @@ NO_UNIT_YET: Condition[BusPredicate] = Condition(
 OF_BUS: tuple[Condition[Any], ...] = (*BY_BUS, SECOND_MASTER, CONTROL_LEFT, NO_UNIT_YET)
 
 
-DAY_S = 86_400.0
 CERTIFICATE_S = 30 * DAY_S
 TOKEN_S = 14 * DAY_S
 TOKEN_SHARE = 0.1

@@ -32,7 +32,7 @@ from app.people.audit.entry import EventKind
 from app.people.audit.log import EventLog
 from bus.catalogue.values import status_bits
 from bus.contract import BusFigures, BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
-from bus.instants import Clock, Monotonic, UnixTime, monotonic_now
+from bus.instants import DAY_S, HOUR_S, Clock, Monotonic, UnixTime, monotonic_now
 from bus.messages import Message
 from bus.pacing import Bucket
 from bus.settings import BusSettings
@@ -301,7 +301,6 @@ LOOK_EVERY_S = 1.0
 LOOK_AFTER_S = (1.0, 10.0, 60.0)
 """The seconds after which an onset is looked up: once the history has stored it, and again when a worker may
 have delivered what it buffered meanwhile."""
-HOUR_S, DAY_S = 3600.0, 86_400.0
 BACK_S = (HOUR_S, DAY_S, 7 * DAY_S, 31 * DAY_S, 366 * DAY_S)
 """The seconds to look back, step by step until the beginning is found."""
 

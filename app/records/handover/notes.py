@@ -25,7 +25,7 @@ from app.core.web.routes import RateLimit
 from app.errors import Problem, StoreError
 from app.line.alarms.journal import JournalEntry
 from app.records.handover.rules import PlainPicture, Shift, plain_picture
-from bus.instants import Clock, UnixTime, monotonic_now, unix_now
+from bus.instants import DAY_S, HOUR_S, Clock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 from bus.pacing import Bucket
 
@@ -33,7 +33,6 @@ MAX_AGE_DAYS = 31
 """The time after its end in which a shift takes notes and signatures: a plant may be closed for weeks."""
 MAX_PER_HOUR = 60
 """The notes and pictures of one person: at most this many at once and in an hour."""
-DAY_S, HOUR_S = 86_400.0, 3600.0
 
 
 class Quota:

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from app.records.handover.rules import Shift, shift_at
 from app.records.notification.settings import ClockTime, MailAddress, NotifySettings, minute_of_day
-from bus.instants import UnixTime
+from bus.instants import DAY_S, UnixTime
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 from bus.validation import setting_fault
@@ -25,7 +25,6 @@ ReportEvery = Literal["shift", "day", "week"]
 MAX_DAYS = 92
 MAX_UNIT_DAYS = 1800
 """The most units times days: all 255 units of a bus for a week."""
-DAY_S = 86_400.0
 SETTLE_S = 300.0
 """The seconds after a shift's end at which its report is sent: late readings are stored by then."""
 LATE_S = 43_200.0

@@ -62,7 +62,7 @@ from app.system.backup.stores import (
     site_of,
 )
 from app.version import VERSION
-from bus.instants import UnixTime
+from bus.instants import DAY_S, HOUR_S, UnixTime
 from bus.messages import Message
 
 FORMAT = "lineside-%Y%m%dT%H%M%SZ.json"
@@ -71,7 +71,6 @@ ARCHIVE = re.compile(r"lineside-(\d{4}-\d{2}-\d{2}-\d{6})\.tar")
 """The name of a backup of version 0.2, by the clock of the site."""
 RETRY_S = 3600.0
 """The delay after a failed backup; it is shorter if backups are more frequent."""
-HOUR_S, DAY_S = 3600.0, 86_400.0
 ALL_S = 2 * HOUR_S
 """The time for which every backup is kept; then one per hour of a day, one per day of ``keep`` days, then one
 per month."""

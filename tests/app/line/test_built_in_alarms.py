@@ -19,11 +19,11 @@ from app.line.alarms.bus_alarms import control_left_by
 from app.line.alarms.journal import AlarmStore
 from app.line.alarms.line_alarms import ExpiryWatch, SiteAlarms
 from app.line.alarms.settings import BuiltInAlarmSettings, tuning_of
-from app.line.conditions.catalogue import CONDITIONS, DAY_S, certificate_expires, token_expires
+from app.line.conditions.catalogue import CONDITIONS, certificate_expires, token_expires
 from app.line.live.diagnosis import bus_facts
 from app.people.auth.store import Token
 from bus.contract import BusFigures, BusLink, ParameterValue
-from bus.instants import Monotonic, UnixTime
+from bus.instants import DAY_S, Monotonic, UnixTime
 from tests.app.alarm_bus import AT_SPEED, BUS, REMOTE, AlarmBus
 from tests.app.alarm_model import FOREVER, ModelAlarm
 from tests.app.configured import faults_of

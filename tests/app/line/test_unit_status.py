@@ -14,10 +14,11 @@ import pytest
 from app.core.web.access import Role
 from app.errors import StoreError
 from app.line.live.bus_live import LiveState, Motion, Onset, Onsets, WordSpan, conditions_of, later, onset_in
-from app.line.live.change_recorder import DAY_S, HOUR_S, OnsetLookup
+from app.line.live.change_recorder import OnsetLookup
 from app.line.pipeline import Pipeline
 from bus.catalogue.values import status_bits
 from bus.contract import BusLink, Reading, Snapshot, UnitLink, UnitState
+from bus.instants import DAY_S, HOUR_S
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.fake_worker import bus_settings, until
