@@ -85,7 +85,7 @@ SECOND_MASTER: Condition[CountPredicate] = Condition(
 )
 CONTROL_LEFT: Condition[Callable[[float, bool], bool]] = Condition(
     "control_left",
-    ("minor", "half_hour"),
+    ("minor", "shift"),
     about="drive",
     holds=lambda idle_s, has_page: idle_s > CONTROL_IDLE_S and not has_page,
     means="the holder of control has no page open and has sent no command for two minutes",

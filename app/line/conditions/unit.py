@@ -154,7 +154,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
     ),
     Condition(
         "not_in_remote",
-        ("minor", "half_hour"),
+        ("minor", "shift"),
         holds=lambda unit: not unit.bits.remote,
         means="the unit is in LOCAL or KEYLOCK",
         tuning=Tuning(on_delay_s=5),
@@ -167,7 +167,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
     ),
     Condition(
         "link_stale",
-        ("minor", "half_hour"),
+        ("minor", "shift"),
         holds=lambda unit: unit.is_late,
         is_alarm=False,
         tiles=("link_stale",),

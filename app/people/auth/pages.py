@@ -370,15 +370,17 @@ class UsersPage:
         token: str = "",
         opened: str = "",
         typed: Mapping[str, str] | None = None,
+        added: str = "",
     ) -> HTMLResponse:
         """Show every user and every token. ``fault``: why a change was refused, with what was ``typed`` into
         the drawer ``opened``; ``token``: the secret of the token just created, ``token_name``, which is shown
-        once."""
+        once; ``added``: the user just added."""
         return render(
             self.request,
             "users/page.html",
             status=422 if fault else 200,
             users=await self.accounts.users(),
+            added=added,
             tokens=await self.accounts.tokens(),
             roles=PEOPLE_ROLES,
             buses=self.accounts.buses,
@@ -390,9 +392,11 @@ class UsersPage:
             typed=defaultdict(str, typed or {}),
         )
 
-    async def after(self, change: Awaitable[None], opened: str = "", **typed: str) -> Response:
-        """Await a change and return to the page; a refused change is explained on the page, in the drawer
-        ``opened`` with what was ``typed``, or in the dialog."""
+    async def after(
+        self, change: Awaitable[None], opened: str = "", added: str = "", **typed: str
+    ) -> Response:
+        """Await a change and return to the page, which names who was ``added``; a refused change is explained
+        on the page, in the drawer ``opened`` with what was ``typed``, or in the dialog."""
         in_dialog = is_fragment(self.request)
         try:
             await change
@@ -400,7 +404,9 @@ class UsersPage:
             if in_dialog:
                 raise
             return await self.render(fault=error, opened=opened, typed=typed)
-        return Response(headers={"HX-Redirect": "/users"}) if in_dialog else RedirectResponse("/users", 303)
+        if in_dialog:
+            return Response(headers={"HX-Redirect": "/users"})
+        return RedirectResponse(f"/users?{urlencode({'added': added})}" if added else "/users", 303)
 
 
 Users = Annotated[
@@ -409,9 +415,9 @@ Users = Annotated[
 
 
 @router.get("/users")
-async def users_page(_: Admin, page: Users) -> HTMLResponse:
-    """Show every user and every token."""
-    return await page.render()
+async def users_page(_: Admin, page: Users, added: str = "") -> HTMLResponse:
+    """Show every user and every token, and that the user ``added`` was added."""
+    return await page.render(added=added)
 
 
 @router.post("/users")
@@ -424,7 +430,7 @@ async def add_user(
 ) -> Response:
     """Add a person, who signs in by password."""
     change = page.accounts.add_user(name, role_named(role), password, by=by)
-    return await page.after(change, "add-user", name=name, role=role)
+    return await page.after(change, "add-user", composed(name), name=name, role=role)
 
 
 @router.post("/users/panels")
@@ -439,7 +445,9 @@ async def add_panel(
     """Add a panel on the wall, which signs in by PIN; it is a viewer unless it is given another role."""
     role, begins = role_named(panel_role), home.strip() or "/"
     change = page.accounts.add_panel(panel, role, pin, begins, by=by)
-    return await page.after(change, "add-panel", panel=panel, panel_role=panel_role, home=home)
+    return await page.after(
+        change, "add-panel", composed(panel), panel=panel, panel_role=panel_role, home=home
+    )
 
 
 @router.post("/users/{name}/role")

@@ -66,7 +66,10 @@ async def system_rows(services: Services, now: UnixTime, monotonic: Monotonic) -
     others = (alarm for alarm in _active(services) if alarm.id not in shown)
     return [
         *rows,
-        *(_row_of(services, alarm, SystemRow(alarm.definition.name, alarm.state_text)) for alarm in others),
+        *(
+            _row_of(services, alarm, SystemRow(alarm.definition.name, alarm.state_text, alarm.facts.came))
+            for alarm in others
+        ),
     ]
 
 
@@ -83,7 +86,8 @@ def _alarmed(services: Services, row: SystemRow, *codes: str) -> SystemRow:
 def _row_of(services: Services, alarm: Alarm, row: SystemRow) -> SystemRow:
     definition = alarm.definition
     name = definition.name
-    about = services[SiteAlarms].present(alarm) or (name if isinstance(name, Message) else row.state)
+    shown = name if isinstance(name, Message) and name != row.name else row.state
+    about = services[SiteAlarms].present(alarm) or shown
     return SystemRow(
         row.name,
         about,

@@ -184,8 +184,10 @@ async def test_a_token_has_no_account(house: House) -> None:
 
 async def test_an_admin_adds_changes_and_removes_people(house: House, admin: httpx.AsyncClient) -> None:
     form = {"name": "bob", "role": "operator", "password": "a good new one"}
-    assert (await admin.post("/users", data=form)).headers["location"] == "/users"
-    assert 'data-user="bob"' in (await admin.get("/users")).text
+    after = (await admin.post("/users", data=form)).headers["location"]
+    page = (await admin.get(after)).text
+    assert 'data-user="bob"' in page
+    assert "was added." in page
     await admin.post("/users/bob/role", data={"role": "engineer"})
     assert (await names(house))["bob"] == "engineer"
     await admin.post("/users/bob/password", data={"password": "another long one"})

@@ -69,6 +69,10 @@ async def test_an_alarm_of_the_site_is_its_row(tmp_path: Path) -> None:
         definition = alarms["_.disk_low"].definition
         assert (disk.level, disk.to_do) == (definition.priority, definition.record.response)
         # One that belongs to none of the rows has its own.
-        assert found["alarm_clock_stepped"].alarm == alarms["_.clock_stepped"].id
+        stepped = found["alarm_clock_stepped"]
+        assert (stepped.alarm, stepped.state.code) == (
+            alarms["_.clock_stepped"].id,
+            "alarm_state_unack_active",
+        )
         page = (await (await house.signed_in(Role.VIEWER)).get("/system")).text
         assert f'href="/alarms/{disk.alarm}"' in page

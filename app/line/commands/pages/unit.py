@@ -46,7 +46,7 @@ from bus.catalogue.parameters import (
 from bus.catalogue.values import analog_output_volts, output_is_on, speed_raw, speed_text
 from bus.contract import ReadParameters, Result, UnitScale, WriteAnalogOutput, WriteOutput, WriteParameter
 from bus.errors import CallerError
-from bus.messages import Message, number, term
+from bus.messages import NUMBER, Message, number, term
 from bus.validation import OneLine
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False, route_class=GuardedRoute)
@@ -292,16 +292,23 @@ def _by_group(number: int) -> tuple[int, int]:
     return _GROUPS.index(PARAMETERS[number].group), number
 
 
+def _range(page: UnitPage, number: int) -> dict[str, Any]:
+    """Return the raw range of a parameter, and as ``typed`` that in which it is typed, if it is another."""
+    lowest, highest = parameter_bounds(page.unit, number, page.guards.limits(page.id))
+    typed = [parameter_message(PARAMETERS[number], raw, page.unit) for raw in (lowest, highest)]
+    is_scaled = all(each.code == NUMBER for each in typed) and str(typed[1]) != str(highest)
+    return {"min": lowest, "max": highest, "typed_range": typed if is_scaled else None}
+
+
 def _row(page: UnitPage, number: int) -> dict[str, Any]:
     known = page.unit.parameters.get(number)
-    lowest, highest = parameter_bounds(page.unit, number, page.guards.limits(page.id))
     raw = None if known is None else known.raw
     shown = {
         "at": None if known is None else known.at,
         "value": None if raw is None else parameter_message(PARAMETERS[number], raw, page.unit),
         "golden": page.golden_values().get(number),
     }
-    return parameter_json(page.unit, number) | {"min": lowest, "max": highest} | shown
+    return parameter_json(page.unit, number) | _range(page, number) | shown
 
 
 @parameters_router.post("/{number:int}/review", dependencies=[permitted(WRITE_PARAMETER)])
@@ -328,12 +335,10 @@ async def review_value(
     # The keypad may have changed the value since it was read: old and new are shown, and undo restores it.
     with suppress(Problem):
         await page.commands.read(page.person, page.id, [number], page.deadline())
-    lowest, highest = parameter_bounds(page.unit, number, page.guards.limits(page.id))
     known = page.unit.parameter_raw(number)
     return page.review(
         "unit/_review_parameter.html",
-        lowest=lowest,
-        highest=highest,
+        range=_range(page, number),
         unit=page.on_line,
         parameter=parameter,
         raw=raw,
