@@ -58,7 +58,7 @@ WITHIN_S = 10.0
 MAX_EXAMINED_S = 10.0
 """The time for one store; its unexamined part counts as sound if the rest is."""
 STEPS = 100_000
-"""The steps of SQLite between two looks at the clock."""
+"""The steps of SQLite between two checks of the clock."""
 MB = 1_000_000
 
 

@@ -232,7 +232,7 @@ class WorkerProcesses:
         self._responds = responds
 
     def are_kept(self) -> bool:
-        """Return whether every worker was checked lately, or is about to be started again."""
+        """Return whether every worker was checked recently, or is about to be started again."""
         now = monotonic_now()
         return all(now - self._looked_at.get(bus, now) < MAX_UNWATCHED_S for bus in self._tasks)
 

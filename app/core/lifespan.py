@@ -1,4 +1,4 @@
-"""The lifespan of the server: parts start in order and end in reverse order, each even if another fails.
+"""The lifespan of the server: its parts start in order, and end in reverse order even if one of them fails.
 
 Works run as tasks of their own, not in a TaskGroup: one that fails is restarted and never ends the others. A
 blocking call may run in a thread that ends with the process.

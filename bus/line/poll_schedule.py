@@ -39,7 +39,8 @@ from bus.instants import Monotonic
 UnitParameter = tuple[int, int]
 """A unit and the number of a parameter."""
 DECIMALS_EVERY = 4
-"""The slow scan reads #3 once in so many reads, so that a first reading of all others ends soon."""
+"""Of this many reads of the slow scan one is of #3, so that a first reading of all other parameters ends
+soon."""
 _FIRST = (DECIMALS, FOLLOWER_MODE, MAX_DISPLAY)
 """The parameters that are read of all units before the other needed ones, in this order: without decimals no
 speed can be shown right, and a setpoint waits until its bounds, the mode and #2, are read."""

@@ -35,10 +35,11 @@ MAX_OF_ACCOUNT = 600
 MAX_IN_ALL = 2000
 
 HANDSHAKES_A_SECOND, MAX_HANDSHAKES_AT_ONCE = 20.0, 300
-"""WebSockets that one account may open: all pages of a plant may share one account and return at once after a
-restart."""
+"""The WebSockets that one account may open in a second and at once: all pages of a plant may share one
+account and return at the same time after a restart."""
 HANDSHAKES_TOGETHER_A_SECOND, MAX_HANDSHAKES_TOGETHER = 60.0, 10
-"""The most of them in the same moment: opening one takes the event loop milliseconds."""
+"""The WebSockets that each account may open in a short burst: opening one takes the event loop
+milliseconds."""
 
 MIN_RATE = 1000.0
 """The least bytes a second of a body that arrives and of a response; a modem makes three times that."""

@@ -22,7 +22,7 @@ log = structlog.get_logger()
 
 NOTIFY_SOCKET = "NOTIFY_SOCKET"
 MAX_STILL_S = {"bus workers": 12.0, "store": 60.0}
-"""The seconds that each part may stand still. A disk may take longer over a write."""
+"""The seconds that each part may make no progress. A disk may take longer over a write."""
 
 
 class ServiceManager:
@@ -83,7 +83,7 @@ class Liveness:
         self._reported: list[str] = []
 
     def tick(self) -> None:
-        """Feed the watchdog unless a part stands still, which is logged once."""
+        """Feed the watchdog unless a part makes no progress, which is logged once."""
         now = self._now()
         if self._has_workers():
             self._moved_at["bus workers"] = now

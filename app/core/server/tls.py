@@ -32,8 +32,8 @@ READ_BYTES = 2**16
 ChooseContext = Callable[[bytes], ssl.SSLContext]
 """A function that returns the context for the first record of a client."""
 LOOK_EVERY_S = 2.0
-"""The seconds between looks. Changed files are read once two looks find them equal: two files are never
-written at once."""
+"""The seconds between checks of the files. Changed files are read once two checks find them equal, because
+two files are never written at the same moment."""
 OnReload = Callable[[Message, Message | None], Awaitable[None]]
 """A function called with the event and, if the files were refused, the reason."""
 

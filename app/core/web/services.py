@@ -1,4 +1,5 @@
-"""The lookup of a service of the app by a route: by its type. A bus that is not configured is refused."""
+"""The lookup by which a route finds a service of the app: by its type. A bus that is not configured is
+refused."""
 
 from __future__ import annotations
 

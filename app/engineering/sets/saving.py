@@ -296,7 +296,7 @@ class FirstWrites:
             _log.error("the set before the first write of the day was not stored", error=str(error))
 
     async def _save(self, person: Person, known: list[UnitRows]) -> None:
-        """Store the units that have no set of today."""
+        """Store a set of each unit that has none with today's date."""
         today, keeper = _midnight(self._clock()), self._keeper
         fresh: list[UnitRows] = []
         try:

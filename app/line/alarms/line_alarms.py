@@ -239,7 +239,7 @@ class LineAlarms:
             yield from each.alarms.values()
 
     def known(self, key: str) -> Alarm | None:
-        """Return the alarm of a key, even if its definition ended lately; None for an unknown key."""
+        """Return the alarm of a key, even if its definition ended recently; None for an unknown key."""
         return next((each.known[key] for each in self._lists if key in each.known), None)
 
     async def measure(self, start: UnixTime, end: UnixTime) -> AlarmPerformance:

@@ -1,4 +1,5 @@
-"""Values as a unit shows them: their text, the scale they depend on, their words in the events. Pure.
+"""Values as a unit shows them: their text, the scale on which they depend, and their words in the events.
+Pure.
 
 The parameters that convert and bound a value are its scale. The keypad of a unit can change them at any time.
 A command therefore carries those in which its value was shown to the worker, which reads them from the unit

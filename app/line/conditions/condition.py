@@ -37,7 +37,8 @@ class SectionSpeed(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """The draw of a section. ``tenths``: of a percent, at most `MAX_TENTHS`; None without a known draw."""
+    """The draw of a section. ``tenths``: the tenths of a percent, at most `MAX_TENTHS`; None without a known
+    draw."""
 
     state: DrawState
     tenths: int | None = None

@@ -104,8 +104,8 @@ MALFORMED = Message("worker_malformed")
 REPLACED = "another worker connected for this bus"
 TICK_S = 1.0
 TIMEOUT_TICKS = 5
-"""A worker reports its figures every second; after so many ticks without a report it is gone or stuck. Ticks
-are counted, not seconds, so that a stall of the app does not count as a stall of the worker."""
+"""The ticks without a report after which a worker is gone or stuck; it reports its figures every second.
+Ticks are counted, not seconds, so that a stall of the app does not count as a stall of the worker."""
 
 
 class WorkerLeft(ConnectionError):

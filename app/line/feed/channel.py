@@ -25,7 +25,7 @@ PATIENCE_S = 15.0
 """The seconds after its deadline, or its last progress, for which a command waits for a live worker."""
 LOOK_S = 0.25
 STUCK_AFTER_LOOKS = 8
-"""So many checks without a message mean that a connected worker is stuck: two seconds, twice its period.
+"""The checks without a message after which a connected worker counts as stuck: two seconds, twice its period.
 Checks are counted, not seconds, so that a stall of the app does not count as a stall of the worker."""
 AWAY_LOOKS = 20
 """The same for a worker whose connection broke, which may need a moment to return."""

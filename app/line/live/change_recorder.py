@@ -138,7 +138,7 @@ FIRST_PAUSE_S, MAX_PAUSE_S = 60.0, 3600.0
 MAX_WAITING = 10_000
 """The most changes kept in memory while the log cannot be written; beyond it the oldest are left out."""
 DUE_EVERY_S = 1.0
-"""The seconds between two looks for due summaries."""
+"""The seconds between two checks for due summaries."""
 
 log = structlog.get_logger()
 

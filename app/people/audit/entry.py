@@ -337,7 +337,7 @@ def notes_altered_end(entry: Mapping[str, Any]) -> bool:
 
 
 SITE = ""
-"""The chain of the site; in mappings by chain, also the only chain of today."""
+"""The chain of the site; in mappings by chain, also the only chain that this version writes."""
 Ends = Mapping[str, Head]
 """The last entry of each chain, by chain."""
 JOINED = Message("event_audit_chains_joined")

@@ -224,7 +224,7 @@ class NotificationOutbox:
         await self._database.write(write)
 
     async def load_of(self, endpoint: str, now: UnixTime, *, collects: bool) -> EndpointLoad:
-        """Return the messages that wait for one address, and those that were sent lately."""
+        """Return the messages that wait for one address, and those that were sent recently."""
 
         def read(connection: StoreConnection) -> EndpointLoad:
             waiting = connection.execute(

@@ -25,7 +25,7 @@ from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message, joined
 
 LOOK_S = 30.0
-"""The seconds between two looks at the clock: setting the clock moves the next backup."""
+"""The seconds between two checks of the clock: setting the clock moves the next backup."""
 NICE = 15
 log = structlog.get_logger()
 Written = tuple[str, Message | None]
