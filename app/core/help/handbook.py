@@ -69,7 +69,7 @@ CHAPTERS = (
     Chapter("guide/users.md", DO, GERMAN),
     Chapter("guide/company-accounts.md", DO, GERMAN),
     Chapter("guide/backup.md", DO, GERMAN),
-    Chapter("spare.md", DO),
+    Chapter("spare.md", DO, GERMAN),
     Chapter("tls.md", DO, GERMAN),
     Chapter("containers.md", DO),
     Chapter("scale.md", DO),
