@@ -200,9 +200,10 @@ READ = (1, 10)
 """How many of the newest events of a line are read: one, as the last is mostly that of a command, and ten if
 it is of a kind that is not shown."""
 SHOWN: frozenset[EventKind] = frozenset(
-    ("block", "bus", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit")
+    ("block", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit")
 )
-"""The kinds of events that say what a line did; control, sign-ins, notes and a worker's start do not."""
+"""The kinds of events that say what a line did. Control, sign-ins, notes and a worker's start do not, and the
+verdict names a closed port."""
 DONE = ("verified", "acknowledged")
 FRESH_S = 0.9
 """The age up to which a summary serves another reader."""
