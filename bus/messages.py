@@ -229,17 +229,17 @@ def listed(items: Sequence[int | str | Message]) -> Message:
 def shown(value: ParamValue, catalog: Catalog) -> str:
     """Return a param as it appears in the text of its message."""
     match value:
+        case int():  # the most frequent
+            return str(value)
         case Message():
             return value.render(catalog)
+        case str():
+            return catalog.time(value) if _TIME.fullmatch(value) else catalog.isolated(value)
         case list():
             separator = "; " if any(isinstance(each, Message) for each in value) else ", "
             return separator.join(shown(each, catalog) for each in value)
         case float():
             return str(value).replace(".", catalog.point)
-        case str() if _TIME.fullmatch(value):
-            return catalog.time(value)
-        case str():
-            return catalog.isolated(value)
         case _:
             return str(value)
 
@@ -252,6 +252,8 @@ def _check_bounds(values: Iterable[object]) -> None:
         level, depth = waiting.pop()
         for value in level:
             size += VALUE_SIZE
+            if isinstance(value, int):  # the most frequent
+                continue
             if isinstance(value, str):
                 size += len(value)
             elif isinstance(value, list):
@@ -259,6 +261,7 @@ def _check_bounds(values: Iterable[object]) -> None:
             elif isinstance(value, Message):
                 if depth == DEEPEST:
                     raise ValueError(f"messages are nested more than {DEEPEST} deep")
-                waiting.append((value.params.values(), depth + 1))
+                if value.params:
+                    waiting.append((value.params.values(), depth + 1))
         if size > LARGEST:
             raise ValueError(f"a message is larger than {LARGEST}")

@@ -4,10 +4,10 @@ by which a browser forbids what no page of ours does."""
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
 
-from starlette.datastructures import MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -27,7 +27,9 @@ HEADERS = {
 FILE_HEADERS = frozenset({"X-Content-Type-Options", "Cross-Origin-Resource-Policy", "Cache-Control"})
 """Those of `HEADERS` that matter for a static file, which is not a document: the others govern documents,
 frames and workers, and a first visit requests some forty files."""
-_NO_DOCUMENTS = ("text/css", "text/javascript", "font/woff2", "image/png")
+_RAW = {name: (name.lower().encode(), value.encode()) for name, value in HEADERS.items()}
+_RAW_OF_ALL, _RAW_OF_FILE = tuple(_RAW.values()), tuple(_RAW[name] for name in sorted(FILE_HEADERS))
+_NO_DOCUMENTS = (b"text/css", b"text/javascript", b"font/woff2", b"image/png")
 _STARTS = frozenset({"http.response.start", "websocket.http.response.start"})
 """The second type is for a response that refuses a WebSocket handshake."""
 MEDIA_TYPE = "application/problem+json"
@@ -43,18 +45,18 @@ class SecurityHeaders:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def with_headers(message: Message) -> None:
             if message["type"] in _STARTS:
-                headers = MutableHeaders(scope=message)
-                is_file = scope["path"].startswith("/static/") and _is_no_document(headers)
-                for name, value in HEADERS.items():
-                    if not is_file or name in FILE_HEADERS:
-                        headers.setdefault(name, value)
+                given = dict(message["headers"])
+                is_file = scope["path"].startswith("/static/") and _is_no_document(given)
+                usual = _RAW_OF_FILE if is_file else _RAW_OF_ALL
+                added = (header for header in usual if header[0] not in given)
+                message = {**message, "headers": [*message["headers"], *added]}
             await send(message)
 
         await self._app(scope, receive, with_headers)
 
 
-def _is_no_document(headers: MutableHeaders) -> bool:
-    return headers.get("content-type", "").startswith(_NO_DOCUMENTS)
+def _is_no_document(headers: Mapping[bytes, bytes]) -> bool:
+    return headers.get(b"content-type", b"").startswith(_NO_DOCUMENTS)
 
 
 @dataclass(frozen=True, slots=True)

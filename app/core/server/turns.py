@@ -119,6 +119,9 @@ class FairQueue(Generic[K]):
             must_wait and waiting.count >= self._most_waiting_of_class
         ):
             raise TooManyWaitingError
+        if not must_wait:
+            self._busy[key] += 1
+            return
         turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         waiting.put(key, turn)
         self._call_next()

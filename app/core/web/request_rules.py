@@ -103,8 +103,9 @@ def _header_problem(scope: Scope) -> Problem | None:
     """Return the refusal of a repeated header, a missing Host, a path below which a proxy serves us, or a
     coding of the body that is not decoded."""
     headers = Headers(scope=scope)
+    names = headers.keys()
     for name in ONCE:
-        if len(headers.getlist(name)) > 1:
+        if names.count(name) > 1:
             return Problem(400, "malformed", Message.of("header_twice", name=name.title()))
     if "host" not in headers and scope.get("http_version") == "1.1":
         return Problem(400, "malformed", Message("host_missing"))

@@ -404,6 +404,8 @@ class Hub:
     # --- what the workers report -------------------------------------------------------------------
 
     def _on_updates(self, bus_name: str, updates: Sequence[Update]) -> None:
+        if not self._with_pages():
+            return
         units, is_bus = changed_by(self.live.buses[bus_name], updates)
         self._render(bus_name, units, include_bus=is_bus)
         for update in updates:

@@ -71,6 +71,7 @@ MAX_TIME = 253_370_764_800.0
 """The year 9999, the last one of dates on the screen and in ISO 8601. Unix time in seconds."""
 _OPTIONAL = ("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome", "count")
 _TEXTS = ("who", "origin", "what", "message")
+_BLANK = {**dict.fromkeys(_OPTIONAL), **dict.fromkeys(_TEXTS, "")}
 MESSAGE_COLUMNS = ("who", "origin", "what", "old", "new", "message")
 """The fields that may be messages."""
 
@@ -84,10 +85,10 @@ def new_entry(*, kind: str, time: UnixTime, frames: Iterable[Frame] = (), **give
         for frame in frames
     ]
     shown = msgspec.json.encode(records).decode()
-    entry = {**dict.fromkeys(_OPTIONAL), **dict.fromkeys(_TEXTS, ""), **given, "kind": kind, "frames": shown}
+    entry = {**_BLANK, **given, "kind": kind, "frames": shown}
     messages = {name: _plain(entry[name]) for name in MESSAGE_COLUMNS if isinstance(entry[name], Message)}
     entry |= {name: str(entry[name]) for name in messages}
-    entry["messages"] = json.dumps(messages, separators=(",", ":"), ensure_ascii=False) if messages else None
+    entry["messages"] = _compact(messages) if messages else None
     # SQLite has no negative zero.
     return {name: _stored(value) for name, value in entry.items()} | {"time": float(time) + 0.0}
 
@@ -111,10 +112,11 @@ def _plain(message: Any) -> Any:
 def _stored(value: Any) -> Any:
     if isinstance(value, str):
         # Half a surrogate pair, which JSON can escape, is not UTF-8.
-        return str(value).encode("utf-8", "backslashreplace").decode()
+        return str(value) if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
     return int(value) if isinstance(value, bool) else value
 
 
+_compact = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False).encode
 _MESSAGES = msgspec.json.Decoder(dict[str, Message])
 _KNOWN = {*TEXTS, NUMBER, TERM, LIST}
 
