@@ -138,6 +138,7 @@ interface PlacedAlarm extends Alarm {
   x: number;
   end: number;
   room: number;
+  before: number;
   label: string;
 }
 

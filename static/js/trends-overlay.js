@@ -17,7 +17,7 @@ const LEAST_ROOM = 12;
 const percentIn = ([from, to]) => /** @param {number} t */ (t) => (100 * (Math.min(Math.max(t, from), to) - from)) / (to - from);
 
 /** Where each alarm of a span begins and ends, and whose it is: `row` counts the priorities that occur, the most important at
- * the top; `room` is how much is free after it in its row. That of a lower row is drawn over the area of a finger of the one above.
+ * the top; `room` and `before` are how much is free after and before it in its row. That of a lower row is drawn over the area of a finger of the one above.
  * @param {Alarm[]} alarms @param {Span} span @returns {PlacedAlarm[]} */
 export function placed(alarms, [from, to]) {
   const percent = percentIn([from, to]);
@@ -29,8 +29,10 @@ export function placed(alarms, [from, to]) {
   });
   return marks
     .map((mark) => {
-      const after = marks.filter((other) => other !== mark && other.row === mark.row && other.x >= mark.x);
-      return { ...mark, room: Math.min(100, ...after.map(({ x }) => x)) - mark.end };
+      const others = marks.filter((other) => other !== mark && other.row === mark.row);
+      const next = Math.min(100, ...others.map(({ x }) => x).filter((x) => x >= mark.x));
+      const last = Math.max(0, ...others.filter(({ x }) => x < mark.x).map(({ end }) => end));
+      return { ...mark, room: next - mark.end, before: mark.x - last };
     })
     .sort((a, b) => a.row - b.row || a.x - b.x);
 }
@@ -100,8 +102,8 @@ function lines(trends) {
   ];
 }
 
-/** What is above the chart: a row for each priority of alarms, and one of notes. The last name of a row may go on over the room right
- * of the chart. @param {Trends} trends @param {number} beside that room, in pixels */
+/** What is above the chart: a row for each priority of alarms, and one of notes. A name without room after its line stands before it,
+ * in a gap that is wide enough for two. The last name of a row may go on over the room right of the chart. @param {Trends} trends @param {number} beside that room, in pixels */
 function lanes(trends, beside) {
   const { range, words } = trends;
   const { alarms, notes } = happened(trends);
@@ -113,11 +115,13 @@ function lanes(trends, beside) {
   return [
     lane(words.alarms, 0, rows),
     ...(notes.length ? [lane(words.notes, rows, 1)] : []),
-    ...placed(alarms, range).flatMap(({ index, priority, row, x, end, room, label }) => {
+    ...placed(alarms, range).flatMap(({ index, priority, row, x, end, room, before, label }) => {
       const place = { left: x, top: top(row), width: end - x };
       const mark = part("trends__alarm alarm-priority", place, part("alarm-priority__shape", {}));
       Object.assign(mark.dataset, { is: priority, list: "alarms", index });
-      const most = end + room < 100 ? room : `calc(${room}% + ${beside}px)`;
+      const [isBefore, isLast] = [room < LEAST_ROOM && before >= 2 * LEAST_ROOM, end + room >= 100];
+      if (isBefore) return [part("trends__who", { right: 100 - x, top: top(row), "max-width": before < x ? before / 2 : x }, label), mark];
+      const most = isLast ? `calc(${room}% + ${beside}px)` : room < 2 * LEAST_ROOM ? room : room / 2;
       return room < LEAST_ROOM ? [mark] : [part("trends__who", { left: end, top: top(row), "max-width": most }, label), mark];
     }),
     ...notes.flatMap(({ t }, index) => {

@@ -15,6 +15,8 @@ test("each is drawn from where it began to where it ended, within the span", () 
     ["low", 0, 30, 40, 40],
     ["low", 0, 80, 100, 0],
   ]);
+  const [first, second] = placed([alarm("low", 130, 140), alarm("low", 180, null)], [100, 200]);
+  assert.deepEqual([first?.before, second?.before], [30, 40]);
   assert.deepEqual(drawn([alarm("low", 50, 100), alarm("low", 200, null)]), []);
 });
 
