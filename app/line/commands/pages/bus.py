@@ -101,7 +101,9 @@ async def unit_rows(_: Viewer, page: PageOfBus) -> Response:
 def _units(page: BusPage) -> dict[str, Any]:
     figures = {} if page.bus.figures is None else {unit.unit: unit for unit in page.bus.figures.units}
     rows = [{"unit": page.shown(number), "figures": figures.get(number)} for number in page.bus.units]
-    return {"fields": page.fields(), "name": page.name, "rows": rows, "unit_error": unit_error}
+    closed_since = page.bus.link_onset.at if page.bus.link.link == "closed" else None
+    shown = {"fields": page.fields(), "name": page.name, "closed_since": closed_since}
+    return {"rows": rows, "unit_error": unit_error, **shown}
 
 
 @router.post("/bus/{bus}/scan", dependencies=[permitted(SCAN_BUS)])
