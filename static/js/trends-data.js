@@ -99,6 +99,10 @@ export function valueAt({ t, avg, bucket_s }, at) {
   return last < 0 || isOld ? null : avg[last];
 }
 
+/** The value of a result at the end of a span, or now where it has not ended; null in a gap there.
+ * @param {Result} result @param {Span} span @param {number} now */
+export const endValue = (result, [, to], now) => valueAt(result, Math.min(to, now));
+
 /** The last value of a result within a span, null where there is none. @param {Result} result @param {Span} span */
 export function lastValue({ t, avg }, [from, to]) {
   const last = t.findLastIndex((at, i) => at <= to && avg[i] !== null);

@@ -1,6 +1,7 @@
 // What lies over and around the curves, as elements over the canvas: the lanes of alarms and notes, the events, the cursors A
 // and B, hatching where nothing was read, and the names of the lines. Places are percent of the span.
-import { lastValue } from "./trends-data.js";
+import { now } from "./clock.js";
+import { endValue, lastValue } from "./trends-data.js";
 import { drawing, isBit } from "./trends-values.js";
 
 /** Height of a row of the lanes, and what is below them. */
@@ -133,21 +134,22 @@ function lanes(trends, beside) {
 }
 
 /** The names of curves right of the chart, each tied to the height at which its curve ends by a hair, which is no part of the
- * curve; and those of bits left of their lanes.
+ * curve, and quiet without one where the curve ends before; and those of bits left of their lanes.
  * @param {uPlot} plot @param {Trends} trends @param {(curve: Curve) => string} scaleOf @param {number} room */
 function names(plot, { curves, range, dimmed }, scaleOf, room) {
   const ends = curves.flatMap((curve) => {
     const value = isBit(curve) ? null : lastValue(curve, range);
-    return value === null ? [] : [{ ...curve, wanted: plot.valToPos(value, scaleOf(curve)) }];
+    const ended = endValue(curve, range, now()) === null;
+    return value === null ? [] : [{ ...curve, ended, wanted: plot.valToPos(value, scaleOf(curve)) }];
   });
   const places = apart(ends.map(({ wanted }) => wanted), NAME, [NAME / 2, plot.over.clientHeight]);
-  const hairs = ends.map(({ wanted }, i) => `M0 ${wanted}L${HAIR} ${places[i]}`);
+  const hairs = ends.map(({ wanted, ended }, i) => (ended ? "" : `M0 ${wanted}L${HAIR} ${places[i]}`));
   return [
     drawing("trends__hairs", hairs.join("")),
-    ...ends.map(({ place, label, key }, i) => {
+    ...ends.map(({ place, label, key, ended }, i) => {
       const name = part("trends__name", { top: `${places[i]}px`, "max-width": `${room - HAIR - 4}px` }, `${place + 1}`);
       if (room > LEAST_NAME) name.append(` ${label}`);
-      name.classList.toggle("trends__name--dimmed", dimmed.has(key));
+      name.classList.toggle("trends__name--dimmed", ended || dimmed.has(key));
       return name;
     }),
     ...curves.filter(isBit).map(({ place, name }, i, { length }) => {

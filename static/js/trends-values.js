@@ -1,8 +1,9 @@
 // The values that are shown: how the line of each looks, the legend beside the chart, the table below it, and the chart as
 // text; and what happened meanwhile as lists.
+import { now } from "./clock.js";
 import { element, refill } from "./element.js";
 import { formatTime } from "./site-time.js";
-import { lastValue, summary, valueAt } from "./trends-data.js";
+import { endValue, summary, valueAt } from "./trends-data.js";
 import { length, number } from "./trends-time.js";
 
 const HUES = 8;
@@ -98,14 +99,14 @@ export class Values {
     });
   }
 
-  /** What all read at the cursor, or last within the span; and at A and B, with B − A where both are set. */
+  /** What all read at the cursor, or at the end of the span; and at A and B, with B − A where both are set. */
   read() {
     const { curves, past, at, range, words, view: { a, b } } = this.trends;
     /** @param {Curve} curve @param {number | null} time */
     const read = (curve, time) => (time === null ? null : valueAt(curve, time));
     this.rows.forEach(({ value, before, cells }, i) => {
       const curve = curves[i];
-      const present = at === null ? lastValue(curve, range) : valueAt(curve, at);
+      const present = at === null ? endValue(curve, range, now()) : valueAt(curve, at);
       const earlier = past.find(({ key }) => key === curve.key);
       const [va, vb] = [read(curve, a), read(curve, b)];
       const difference = va === null || vb === null || isBit(curve) ? UNKNOWN : number(vb - va, curve.decimals);

@@ -7,7 +7,7 @@ import { openPage } from "./page.js";
 globalThis.uPlot = uPlot;
 openPage();
 const { fetchMarks } = await import("../../static/js/history-requests.js");
-const { exportAddress, fetchSeries, joined, summary, unread, valueAt } = await import(
+const { endValue, exportAddress, fetchSeries, joined, summary, unread, valueAt } = await import(
   "../../static/js/trends-data.js"
 );
 
@@ -44,6 +44,11 @@ test("the last value holds for two of its intervals and 15 s", () => {
   const one = response([10], [1], { bucket_s: 5 });
   assert.deepEqual([valueAt(one, 35), valueAt(one, 35.1)], [1, null]);
   assert.equal(valueAt(response([], []), 5), null);
+});
+
+test("a unit that is silent now has no latest value, and one that was read before the end of a past span has", () => {
+  const one = response([10, 20], [1, 2]);
+  assert.deepEqual([endValue(one, [0, 100], 30), endValue(one, [0, 100], 60), endValue(one, [0, 25], 60)], [2, null, 2]);
 });
 
 test("a summary leaves holes out and counts them", () => {
