@@ -302,7 +302,7 @@ def test_a_unit_that_does_not_respond_shows_why_nothing_can_be_set(
     expect(notice).to_be_hidden()
     site.line.remote.do("fault", kind="dead", rate=1, unit=1)
     try:
-        expect(notice).to_contain_text("until the unit responds")
+        expect(notice).to_contain_text("until live values")
         assert judged(page, axe) == []
     finally:
         site.line.remote.do("clear")
