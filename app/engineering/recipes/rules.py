@@ -128,12 +128,11 @@ def _step(
     if unit is None:
         name, new = Message.of("unit_address", unit=setpoint.unit), str(setpoint.raw)
         return RecipeDryRunStep(setpoint.unit, name, setpoint.raw, None, new, None, NOT_CONFIGURED)
-    present = present_raw(unit, setpoint.kind)
+    is_silent = unit.reading is None or unit_link_now(bus, unit, now) == "offline"
+    present = None if is_silent else present_raw(unit, setpoint.kind)
     ramp = ramp_of(unit, present, setpoint.raw)
     ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
-    old = None
-    if unit.reading is not None and present is not None and unit_link_now(bus, unit, now) != "offline":
-        old = number(setpoint_text(unit, present, setpoint.kind))
+    old = None if present is None else number(setpoint_text(unit, present, setpoint.kind))
     new, measure = setpoint_text(unit, setpoint.raw, setpoint.kind), measure_of_setpoint(unit)
     return RecipeDryRunStep(
         unit=setpoint.unit,
