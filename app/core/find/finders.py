@@ -33,6 +33,8 @@ def rank(words: Sequence[str], names: Iterable[str]) -> int | None:
     """Return how well all ``words`` are found in ``names``, 0 the best; None if one is in none of them. A
     number is found as a number: "2" is not in "12"."""
     among = [folded(name) for name in names if name]
+    if " ".join(words) in among:
+        return EXACT
     total = 0
     for word in words:
         found = [how for name in among if (how := _found(word, name)) is not None]

@@ -32,7 +32,8 @@ PLACE = re.compile(
     [
         ("kuhl", ["Kühlwalze"], 1),
         ("KÜHLWALZE", ["kühlwalze"], 0),
-        ("dryer 1", ["Dryer 1", "4"], 3),
+        ("dryer 1", ["Dryer 1", "4"], 0),
+        ("dryer 1", ["Dryer 1 top", "4"], 3),
         ("walze", ["Kühlwalze"], 3),
         ("2", ["12"], None),
         ("#2", ["Coater", "2"], 0),
