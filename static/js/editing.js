@@ -64,7 +64,8 @@ function followBoxes() {
 function followDrawers() {
   const shown = /** @type {HTMLElement | null} */ (document.querySelector("[data-reload-as]"));
   if (shown) history.replaceState(null, "", shown.dataset.reloadAs);
-  /** @type {HTMLElement | null} */ (document.querySelector("[popover][data-opened]"))?.showPopover();
+  const opened = /** @type {HTMLElement | null} */ (document.querySelector("[popover][data-opened]"));
+  if (opened) fill(opened);
   document.addEventListener("htmx:after:swap", ({ detail: { ctx } }) => {
     const drawer = typeof ctx.target === "string" ? document.querySelector(ctx.target) : ctx.target;
     if (drawer?.matches(".drawer")) fill(/** @type {HTMLElement} */ (drawer));
