@@ -9,6 +9,9 @@ const plate = document.getElementById("faceplate");
 let opener = null;
 /** @type {HTMLAnchorElement | null} */
 let wanted = null;
+/** Where the page stood when it was opened, and where the unit was scrolled into the window. */
+let before = 0;
+let after = 0;
 let ending = () => {};
 
 function opened() {
@@ -28,6 +31,7 @@ function opened() {
   plate.scrollTop = 0;
   plate.querySelector("h2 a")?.focus({ preventScroll: true });
   (link.closest("[data-unit]") ?? link).scrollIntoView({ block: "nearest" });
+  after = scrollY;
   ending = listen("alarms_present", redrawAlarms);
 }
 
@@ -64,6 +68,7 @@ function leave() {
 /** Its place with the name, in the next picture: what it says is on its way.
  * @param {HTMLAnchorElement} link */
 function begin(link) {
+  before = scrollY;
   const head = document.createElement("header");
   head.className = "faceplate__head";
   const name = document.createElement("h2");
@@ -83,12 +88,14 @@ function close() {
   if (!opener || !leave()) return;
   wanted = null;
   forget();
+  const isWhereItOpened = scrollY === after;
   plate.hidden = true;
   plate.replaceChildren();
   plate.removeAttribute("data-unit");
   rebind();
   document.dispatchEvent(new CustomEvent("lineside:changed"));
-  opener.focus();
+  opener.focus({ preventScroll: isWhereItOpened });
+  if (isWhereItOpened) scrollTo(0, before);
   opener = null;
 }
 

@@ -218,7 +218,7 @@ def jams_as_shown(page: Page) -> list[str]:
     return found
 
 
-def test_nothing_jams_beside_the_line_nor_with_a_message_and_an_undo_on_the_page_of_a_unit(
+def test_nothing_jams_beside_the_line_nor_with_a_message_or_an_undo_on_the_page_of_a_unit(
     site: Site, shared_page: OpensPages
 ) -> None:
     page = opened(shared_page("engineer", site=site, locale=GERMAN, viewport=PANEL), "/?view=tiles")
@@ -230,10 +230,11 @@ def test_nothing_jams_beside_the_line_nor_with_a_message_and_an_undo_on_the_page
     expect(page.locator(".setting .undo:visible")).to_be_visible()
     opened(page, "/units/line/2")
     expect(page.locator(".setting .undo-place .undo")).to_be_visible()
+    assert jams_as_shown(page) == []
     page.locator("#setpoint").fill("90,0")
     page.locator(".setter__tray").click()
     expect(page.locator("#setpoint-error [data-added]")).to_be_visible()
-    expect(page.locator(".setting .undo-place .undo")).to_be_visible()
+    expect(page.locator(".setting .undo:visible")).to_have_count(0)
     assert jams_as_shown(page) == []
 
 
