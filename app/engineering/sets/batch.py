@@ -16,8 +16,8 @@ from app.core.web.routes import GuardedRoute
 from app.core.web.shape import parse_integer
 from app.core.web.templating import render
 from app.engineering.sets.model import UnitRows, known_rows, status_of, with_unit
-from app.engineering.sets.restore_plan import OPERATING_VALUES, effect_message, warning_of
 from app.errors import Problem
+from app.line.commands.effects import OPERATING_VALUES, effect_message, warning_of
 from app.line.commands.service import Commands, CommandService, ParameterWriter
 from app.line.commands.values import parameter_scale
 from app.line.live.api.routes import Live

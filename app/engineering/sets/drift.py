@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from app.core.lifespan import Background
 from app.core.web.formats import Formats
 from app.engineering.sets.model import ParameterDifference, ParameterRow, UnitRows, differences, known_rows
-from app.engineering.sets.restore_plan import OPERATING_VALUES
 from app.engineering.sets.store import SetStore
+from app.line.commands.effects import OPERATING_VALUES
 from app.line.live.bus_live import Audience, BusLive
 from app.line.live.fields import Translator
 from app.line.live.sources import Drifted

@@ -32,11 +32,12 @@ from app.engineering.sets.lookup import (
 )
 from app.engineering.sets.model import compare, row_message
 from app.engineering.sets.restore_api import Planner, rows_left_out, rows_to_write
-from app.engineering.sets.restore_plan import OPERATING_VALUES, Restore, Selection
+from app.engineering.sets.restore_plan import Restore, Selection
 from app.engineering.sets.restore_service import CANCEL, START, RestoreService
 from app.engineering.sets.saving import MARK_GOLDEN, SAVE, SCHEDULE, SetKeeper, SetReadings, SetSchedule
 from app.engineering.sets.store import SetStore
 from app.errors import Problem, or_404
+from app.line.commands.effects import OPERATING_VALUES
 from app.line.live.api.routes import Live
 from app.line.live.bus_live import LiveState
 from app.line.live.diagnosis import no_response_text

@@ -23,18 +23,16 @@ from app.engineering.sets.lookup import (
 )
 from app.engineering.sets.model import Number, ParameterDifference, StoredRaw, UnitRows, meaning, with_unit
 from app.engineering.sets.restore_plan import (
-    EFFECTS,
-    Effect,
     LeftOut,
     Reason,
     Restore,
     RestoreState,
     RowResult,
     Selection,
-    warning_of,
 )
 from app.engineering.sets.restore_service import CANCEL, PLAN, START
 from app.errors import Problem
+from app.line.commands.effects import EFFECTS, Effect, warning_of
 from app.line.live.api.routes import Live
 from app.line.live.api.view import UnitAddress
 from app.line.live.requests import unit_or_404

@@ -30,11 +30,11 @@ from app.engineering.sets.restore_plan import (
     Write,
     plan_restore,
     refuse_unwritable,
-    warning_of,
 )
 from app.engineering.sets.saving import ParameterReader
 from app.errors import Problem, StoreError
 from app.line.commands.catalogue import WRITE_PARAMETER
+from app.line.commands.effects import warning_of
 from app.line.commands.service import CommandService
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog

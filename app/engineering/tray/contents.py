@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, get_args
 
 from app.engineering.sets.model import status_of
-from app.engineering.sets.restore_plan import warning_of
 from app.errors import Problem
+from app.line.commands.effects import warning_of
 from app.line.commands.review import SetpointChange
 from app.line.commands.undo import PlaceKind, ValuePlace, Values
 from app.line.commands.values import measure_of_value, parameter_message

@@ -13,7 +13,7 @@ from decimal import Decimal
 from typing import Literal, NamedTuple
 
 from app.line.commands.limits import HIGHEST_SETPOINT, Limits
-from app.line.commands.rules import KIND_OF_PARAMETER, commanded_setpoint, kind_of, setpoint_range
+from app.line.commands.rules import commanded_setpoint, kind_of, setpoint_range
 from app.line.commands.values import (
     in_measure,
     measure_of_setpoint,
@@ -134,15 +134,6 @@ def risks_of(
 def _is_above_display(unit: UnitLive, raw: int) -> bool:
     """Return whether a speed is above #2, which only an engineer's limit allows."""
     return kind_of(unit) == "speed" and raw > (unit.parameter_raw(MAX_DISPLAY) or HIGHEST_SETPOINT)
-
-
-def risks_of_writing(number: int, raw: int) -> tuple[Message, ...]:
-    """Return the risks of writing a value of a parameter."""
-    if number in (ACCELERATION, DECELERATION) and raw == 0:
-        return (Message("risk_no_ramp"),)
-    if number in KIND_OF_PARAMETER:
-        return (Message("risk_is_setpoint"),)
-    return ()
 
 
 def by_remark(remarks: Iterable[tuple[str, Message]]) -> list[tuple[Message, list[str]]]:

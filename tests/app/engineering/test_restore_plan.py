@@ -13,8 +13,6 @@ from app.engineering.sets.model import ParameterRow, UnitRows
 from app.engineering.sets.restore_plan import (
     INVERSE_FOLLOWER,
     MAY_RUN,
-    NO_RAMP,
-    OPERATING_VALUES,
     RUNS,
     Selection,
     Write,
@@ -22,9 +20,9 @@ from app.engineering.sets.restore_plan import (
     plan_restore,
     refuse_unwritable,
     remarks,
-    warning_of,
 )
 from app.errors import Problem
+from app.line.commands.effects import NO_RAMP, OPERATING_VALUES, warning_of
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 

@@ -10,9 +10,9 @@ import pytest
 
 from app.core.web.access import Person, Role
 from app.engineering.sets.batch import BatchRow, refuse_moved, rows_of_batch, write_batch
-from app.engineering.sets.restore_plan import NO_RAMP
 from app.engineering.sets.saving import REPORT_AFTER, FirstWrites, SetReadings, SetSchedule, due_between
 from app.errors import ConstraintError, Problem, StoreError
+from app.line.commands.effects import NO_RAMP
 from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, UnitLink, UnitLinkState

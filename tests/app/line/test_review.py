@@ -24,7 +24,6 @@ from app.line.commands.review import (
     ramp_of,
     ramp_parameters_missing,
     risks_of,
-    risks_of_writing,
 )
 from app.line.live.bus_live import BusLive, LiveState
 from bus.contract import BusLink, ParameterValue, Result, UnitLink, UnitOutcome, Update
@@ -99,21 +98,6 @@ def test_one_remark_names_all_its_units() -> None:
     offline, local = Message("obstacle_offline"), Message("obstacle_not_in_remote")
     found = by_remark([("A", local), ("B", offline), ("C", local)])
     assert found == [(local, ["A", "C"]), (offline, ["B"])]
-
-
-@pytest.mark.parametrize(
-    ("number", "raw", "codes"),
-    [
-        (6, 0, ["risk_no_ramp"]),
-        (7, 0, ["risk_no_ramp"]),
-        (7, 1, []),
-        (5, 0, []),
-        (20, 5, ["risk_is_setpoint"]),
-        (37, 5, ["risk_is_setpoint"]),
-    ],
-)
-def test_what_a_write_to_a_parameter_may_surprise_with(number: int, raw: int, codes: list[str]) -> None:
-    assert [risk.code for risk in risks_of_writing(number, raw)] == codes
 
 
 def unblocked(_unit: int) -> str:

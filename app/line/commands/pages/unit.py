@@ -17,9 +17,10 @@ from app.core.web.services import service_of
 from app.errors import Problem
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.commands.catalogue import READ_PARAMETERS, WRITE_ANALOG_OUTPUT, WRITE_OUTPUT, WRITE_PARAMETER
+from app.line.commands.effects import warning_of
 from app.line.commands.limits import HIGHEST_SETPOINT, Limits
 from app.line.commands.page_context import Confirmed, PageOfUnit, ReviewedScale, UnitPage
-from app.line.commands.review import OutcomeText, draw_seam, nudges, outcome_text, risks_of_writing
+from app.line.commands.review import OutcomeText, draw_seam, nudges, outcome_text
 from app.line.commands.rules import parameter_bounds, setpoint_range
 from app.line.commands.safeguards import BLOCK, SET_LIMITS, UNBLOCK
 from app.line.commands.service import permitted, permitted_writer
@@ -34,7 +35,7 @@ from app.line.commands.values import (
 )
 from app.line.conditions.condition import follower
 from app.line.live.api.view import parameter_json
-from app.line.live.bus_live import UnitLive, setpoint_decimals
+from app.line.live.bus_live import UnitLive, bits_of, setpoint_decimals
 from bus.catalogue.parameters import (
     ANALOG_OUT_HIGH,
     ANALOG_OUT_LOW,
@@ -336,6 +337,9 @@ async def review_value(
     with suppress(Problem):
         await page.commands.read(page.person, page.id, [number], page.deadline())
     known = page.unit.parameter_raw(number)
+    reading = page.unit.reading
+    running = None if reading is None else bits_of(page.bus, reading).run
+    warning = warning_of(number, raw, running=running)
     return page.review(
         "unit/_review_parameter.html",
         range=_range(page, number),
@@ -347,7 +351,7 @@ async def review_value(
         new=parameter_message(parameter, raw, page.unit),
         measure=measure_of_value(page.unit, parameter, raw),
         obstacle=page.obstacle(page.id),
-        risks=risks_of_writing(number, raw),
+        risks=[] if warning is None else [warning],
         danger=danger_of_writing(parameter, raw),
         typed=CONFIRMING_WORD,
     )
