@@ -183,6 +183,7 @@ async def test_a_ramp_of_nothing_is_warned_of_where_it_is_written(house: House) 
     report_parameter(house, 1, 16, 1)
     response = await browser.post("/units/dry-end/1/parameters/7/review", data={"value": "0.0"})
     assert remarks(response) == [("effect_no_ramp", "Unwind")]
+    assert 'data-of="dry-end/1"' in response.text, "it ends once the unit leaves REMOTE"
     assert re.search(r"0\.0 <small>s</small>", response.text)
     speed = await browser.post("/units/dry-end/1/parameters/20/review", data={"value": "50.0"})
     assert remarks(speed) == [("effect_setpoint", "Unwind")]
