@@ -42,8 +42,13 @@ def changed(text: str, by: float) -> str:
     return number.replace(".", ",") if "," in text else number
 
 
-def no_shift(page: Page, step: str) -> None:
+def drawn(page: Page) -> None:
+    """Wait until what has changed is drawn."""
     page.evaluate("() => new Promise((drawn) => requestAnimationFrame(() => setTimeout(drawn, 50)))")
+
+
+def no_shift(page: Page, step: str) -> None:
+    drawn(page)
     assert shifts(page) == [], step
 
 
@@ -102,6 +107,7 @@ def test_nothing_on_a_unit_moves_for_a_command_its_result_its_undo_or_an_alarm(
     expect(page.locator(".setting")).to_have_attribute("data-is", "local")
     no_shift(page, "LOCAL")
     page.set_viewport_size(PHONE)
+    drawn(page)  # in its new size, whose own moves are none of the unit's
     count_shifts(page, "main")
     assert page.evaluate(LOSE_UNIT)
     no_shift(page, "a unit that does not respond")
