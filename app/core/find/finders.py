@@ -107,10 +107,11 @@ class FixedPlace(NamedTuple):
 
 
 class FoundKind(NamedTuple):
-    """The places of one kind that were found, the best first."""
+    """The places of one kind that were found, the best first. ``more``: how many others were."""
 
     kind: Message
     places: Sequence[FoundPlace]
+    more: int
 
 
 class Finders:
@@ -140,7 +141,7 @@ class Finders:
             places = [place for finder in finders for place in await finder(search)]
             if places:
                 best = sorted(places, key=lambda place: place.rank)[:MAX_OF_KIND]
-                found.append(FoundKind(Message(kind), best))
+                found.append(FoundKind(Message(kind), best, len(places) - len(best)))
         return sorted(found, key=lambda of_kind: of_kind.places[0].rank)
 
 

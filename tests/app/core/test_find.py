@@ -105,6 +105,7 @@ async def test_help_actions_and_the_state_of_an_input_are_found(tmp_path: Path) 
         shown = await found(client, "nip run input")
         assert re.search(r"Nip · Run input</span>\s*<small[^>]*>(on|off)<", shown)
         assert "Run input" not in await found(client, "nip"), "a name alone is that of the unit"
+        assert ">8 more<" in await found(client, "input"), "of seven of each of two units"
 
 
 async def test_units_of_one_name_are_told_apart_by_their_bus(tmp_path: Path) -> None:
