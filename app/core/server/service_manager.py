@@ -22,7 +22,8 @@ log = structlog.get_logger()
 
 NOTIFY_SOCKET = "NOTIFY_SOCKET"
 MAX_STILL_S = {"bus workers": 12.0, "store": 60.0}
-"""The seconds that each part may make no progress. A disk may take longer over a write."""
+"""How long each part may make no progress, in seconds. The store has longer, because a disk may be slow to
+write."""
 
 
 class ServiceManager:

@@ -209,7 +209,7 @@ PUBLISHER_DAY_BEHIND: Condition[Callable[[float], bool]] = Condition(
     means="the plant's database of `[postgresql]` has lacked what was stored for a day",
 )
 LINK_ON_DELAY_S = 60.0
-"""The seconds in which a broker or a process that restarts is back."""
+"""The delay before a lost connection is an alarm: a broker or a process that restarts is back by then."""
 BROKER_LOST: Condition[Callable[[object], bool]] = Condition(
     "broker_lost",
     ("minor", "shift"),

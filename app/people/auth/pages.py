@@ -395,8 +395,8 @@ class UsersPage:
     async def after(
         self, change: Awaitable[None], opened: str = "", added: str = "", **typed: str
     ) -> Response:
-        """Await a change and return to the page, which names who was ``added``; a refused change is explained
-        on the page, in the drawer ``opened`` with what was ``typed``, or in the dialog."""
+        """Carry out a change and return to the page, which names who was ``added``. If the change is refused,
+        explain it on the page, in the drawer ``opened`` with what was ``typed``, or in the dialog."""
         in_dialog = is_fragment(self.request)
         try:
             await change

@@ -101,7 +101,7 @@ def _row_of(services: Services, alarm: Alarm, row: SystemRow) -> SystemRow:
 
 
 def _marked(services: Services, rows: Iterable[SystemRow], code: str) -> Iterator[SystemRow]:
-    """Yield rows of connections, those with a fault with the mark of their one alarm, once it has come."""
+    """Yield the rows, the faulty ones with the priority and link of the alarm ``code`` if it is active."""
     alarms = [alarm for alarm in _active(services) if alarm.definition.code == code]
     for row in rows:
         if alarms and row.is_faulty:
