@@ -1,5 +1,4 @@
-// Fields that speak the language of the page and not of the browser: the chosen file, and a typed time.
-import "./main.js";
+// Fields that speak the language of the page and not of the browser: the chosen file, and what a field refuses.
 
 const KILO = 1000;
 
@@ -14,18 +13,51 @@ function describe(files) {
   return `${[...files].map((file) => file.name).join(", ")} · ${shown}`;
 }
 
-for (const shown of document.querySelectorAll("[data-chosen]")) {
-  const input = /** @type {HTMLInputElement} */ (document.getElementById(shown.dataset.chosen ?? ""));
-  const none = shown.textContent;
-  const show = () => {
-    shown.textContent = input.files?.length ? describe(input.files) : none;
-  };
-  input.addEventListener("change", show);
-  show(); // a page that comes back keeps its file
+function followFiles() {
+  for (const shown of document.querySelectorAll("[data-chosen]")) {
+    const input = /** @type {HTMLInputElement} */ (document.getElementById(shown.dataset.chosen ?? ""));
+    const none = shown.textContent;
+    const show = () => {
+      shown.textContent = input.files?.length ? describe(input.files) : none;
+    };
+    input.addEventListener("change", show);
+    show(); // a page that comes back keeps its file
+  }
 }
 
-for (const input of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("[data-malformed]")))
-  input.addEventListener("input", () => {
-    input.setCustomValidity("");
-    input.setCustomValidity(input.validity.patternMismatch ? (input.dataset.malformed ?? "") : "");
-  });
+/** What stands below a refused field. @type {WeakMap<Element, HTMLElement>} */
+const refusals = new WeakMap();
+
+/** Say below the field what it needs: the bubble of the browser has another language and covers the next field.
+ * @param {Event} event */
+function refuse(event) {
+  const field = /** @type {HTMLInputElement} */ (event.target);
+  const isFirst = [...(field.form?.elements ?? [field])].find((each) => each.matches(":invalid:not(fieldset)")) === field;
+  event.preventDefault();
+  if (isFirst) field.focus();
+  const refusal = refusals.get(field) ?? document.createElement("p");
+  const { missing, unticked } = document.body.dataset;
+  refusal.className = "field__error";
+  refusal.textContent =
+    (field.type === "checkbox" ? unticked : field.validity.valueMissing ? missing : field.dataset.malformed) ?? "";
+  refusals.set(field, refusal);
+  (field.closest(".check") ?? field).after(refusal);
+  field.setAttribute("aria-invalid", "true");
+  field.ariaDescription = refusal.textContent;
+}
+
+/** @param {Event} event */
+function accept(event) {
+  const target = /** @type {HTMLInputElement} */ (event.target);
+  if (!refusals.has(target)) return;
+  refusals.get(target)?.remove();
+  refusals.delete(target);
+  target.removeAttribute("aria-invalid");
+  target.ariaDescription = null;
+}
+
+export function start() {
+  followFiles();
+  document.addEventListener("invalid", refuse, { capture: true });
+  document.addEventListener("input", accept);
+}

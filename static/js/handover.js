@@ -1,5 +1,5 @@
 // Pictures of a note are made small enough before they are sent. Drawn again, they have no metadata and are upright.
-import "./fields.js";
+import "./main.js";
 
 const LONGEST_SIDE = 1600;
 const QUALITY = 0.8;
