@@ -23,6 +23,7 @@ from app.line.conditions.condition import (
     TimeToRespond,
     Tuning,
 )
+from bus.instants import UnixTime
 from bus.messages import Message
 
 BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
@@ -103,6 +104,13 @@ class Alarm:
     def is_unacknowledged(self) -> bool:
         """Whether the alarm waits for its acknowledgement, and nothing hides it."""
         return not self.facts.is_hidden and not self.facts.acknowledged
+
+    @property
+    def again_since(self) -> UnixTime | None:
+        """The time since which an active alarm waits to be acknowledged, if that is later than it came: what
+        hid it ended, or it was annunciated again. None: since it came."""
+        facts = self.facts
+        return facts.since if self.is_unacknowledged and facts.active and facts.since != facts.came else None
 
     @property
     def is_annunciated(self) -> bool:

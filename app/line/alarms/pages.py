@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import timedelta
 from typing import Annotated, Any, Literal, NamedTuple
 from urllib.parse import urlencode
@@ -23,7 +23,7 @@ from app.errors import Problem
 from app.line.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
 from app.line.alarms.alarm import Alarm, state_text
 from app.line.alarms.api import Alarms, present_value
-from app.line.alarms.journal import JournalFilter
+from app.line.alarms.journal import JournalEntry, JournalFilter
 from app.line.alarms.line_alarms import LineAlarms, rank
 from app.line.alarms.performance import AlarmFigure
 from app.line.alarms.rules import PRESENT_STATES, AlarmState
@@ -277,7 +277,19 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
         record=alarm.definition.record,
         beside=_beside(alarms, alarm),
         transitions=entries,
+        formerly_acknowledged=_formerly_acknowledged(alarm, entries),
         place_of=alarms.place,
+    )
+
+
+def _formerly_acknowledged(alarm: Alarm, entries: Iterable[JournalEntry]) -> JournalEntry | None:
+    """Return the last acknowledgement of an occurrence that has to be acknowledged again. ``entries``: the
+    newest first."""
+    if alarm.again_since is None:
+        return None
+    occurrence = alarm.facts.occurrence
+    return next(
+        (each for each in entries if (each.occurrence, each.trigger) == (occurrence, "acknowledge")), None
     )
 
 

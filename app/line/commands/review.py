@@ -248,6 +248,8 @@ def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]
             continue
         is_out = then.state == "out_of_band"
         text = _draw_text(*pair, setpoints, _percent(percent_of(then.tenths), "+"))
+        if now.tenths is not None:
+            text = Message.of("draw_instead_of", text=text, now=_percent(percent_of(now.tenths), "+"))
         if is_out:
             low, high = map(_percent, seam.band)
             text = Message.of("draw_and_band", text=text, low=low, high=high)

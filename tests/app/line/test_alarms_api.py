@@ -360,6 +360,17 @@ async def test_one_page_has_the_record_and_shelves_with_a_reason(house: House) -
     assert state(house) == "unack_active"
 
 
+async def test_an_alarm_to_acknowledge_again_says_who_had_acknowledged_it(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    estop(house.services, active=True)
+    await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
+    assert "Was acknowledged" not in await page(operator, f"/alarms/{ESTOP}.1")
+    await operator.post(f"/alarms/{ESTOP}.1/shelve", data={"minutes": "30", "reason": "chatters"})
+    await operator.post(f"/alarms/{ESTOP}.1/unshelve")
+    assert "by the-operator. Acknowledge it again" in await page(operator, f"/alarms/{ESTOP}.1")
+    assert "active, not acknowledged since" in await page(operator, "/alarms/list")
+
+
 async def test_a_link_to_a_former_occurrence_leads_to_the_present_one(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     estop(house.services, active=True)

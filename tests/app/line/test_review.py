@@ -148,26 +148,36 @@ BANDED = {"draw_percent": ["-0.5", "2.0"]}
 def test_a_neighbor_that_stays_is_named_with_its_speed_and_the_draw() -> None:
     assert texts(at_120(**BANDED), {2: 1140}) == [
         (
-            "Unit 1 stays at 120.0 m/min: draw of Unit 2 \N{MINUS SIGN}5.0 %,"
-            " outside its band of \N{MINUS SIGN}0.5 to 2.0 %",
+            "Unit 1 stays at 120.0 m/min: draw of Unit 2 \N{MINUS SIGN}5.0 % "
+            "instead of \N{PLUS-MINUS SIGN}0.0 %, outside its band of \N{MINUS SIGN}0.5 to 2.0 %",
             True,
         ),
-        ("Unit 3 stays at 120.0 m/min: draw +5.3 %, outside its band of \N{MINUS SIGN}0.5 to 2.0 %", True),
+        (
+            "Unit 3 stays at 120.0 m/min: draw +5.3 % "
+            "instead of \N{PLUS-MINUS SIGN}0.0 %, outside its band of \N{MINUS SIGN}0.5 to 2.0 %",
+            True,
+        ),
     ]
     assert texts(at_120(**BANDED), {3: 1300}, "de")[0] == (
-        "Unit 2 bleibt bei 120,0 m/min: Verzug von Unit 3 +8,3 %,"
+        "Unit 2 bleibt bei 120,0 m/min: Verzug von Unit 3 +8,3 % statt \N{PLUS-MINUS SIGN}0,0 %,"
         " außerhalb seines Bandes von \N{MINUS SIGN}0,5 bis 2,0 %",
         True,
     )
 
 
 def test_without_a_band_a_changed_draw_is_stated_quietly() -> None:
-    assert texts(at_120(), {4: 1212}) == [("Unit 3 stays at 120.0 m/min: draw of Unit 4 +1.0 %", False)]
+    assert texts(at_120(), {4: 1212}) == [
+        ("Unit 3 stays at 120.0 m/min: draw of Unit 4 +1.0 % instead of \N{PLUS-MINUS SIGN}0.0 %", False)
+    ]
 
 
 def test_two_neighbors_of_a_change_have_a_draw_to_each_other() -> None:
     assert texts(at_120(3, **BANDED), {1: 1200, 2: 1300, 3: 1300}) == [
-        ("draw of Unit 2 to Unit 1: +8.3 %, outside its band of \N{MINUS SIGN}0.5 to 2.0 %", True)
+        (
+            "draw of Unit 2 to Unit 1: +8.3 % instead of "
+            "\N{PLUS-MINUS SIGN}0.0 %, outside its band of \N{MINUS SIGN}0.5 to 2.0 %",
+            True,
+        )
     ]
 
 
