@@ -89,10 +89,13 @@ class OpensPages(Protocol):
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Report of a test that failed what each page showed then."""
+    """Report of a test that failed what each page showed then, and what the server logged last."""
     report = yield
-    browser: Browser | None = getattr(item, "funcargs", {}).get("browser")
+    used: dict[str, Any] = getattr(item, "funcargs", {})
+    browser: Browser | None = used.get("browser")
     if call.when == "call" and report.failed and browser:
+        for served in (value for value in used.values() if isinstance(value, Site)):
+            report.sections.append((f"log of {served.url}", served.last_logged()))
         for page in (page for context in browser.contexts for page in context.pages):
             with suppress(Error):
                 report.sections.append((f"page {page.url}", page.locator("body").inner_text(timeout=5000)))
