@@ -9,6 +9,8 @@ const SIZES = {
   matrix: { width: 74, height: 48, strip: 16, gap: 3 },
 };
 const PHONE_PX = 576;
+/** What is blank at the end of a narrow page, above the bar at its edge. */
+const BLANK_PX = 32;
 /** A cell is as good as the smaller of its width and so many times its height. */
 const SHAPE = 1.6;
 
@@ -82,16 +84,19 @@ function fit(line) {
   const around = line.getBoundingClientRect().height - boxes.reduce((sum, box) => sum + box.height, 0);
   const below = Number.parseFloat(getComputedStyle(line.parentElement ?? line).paddingBlockEnd);
   const { top } = line.getBoundingClientRect();
-  // On a narrow screen what is counted stands below the units.
-  const head = document.querySelector(".line-head")?.getBoundingClientRect();
-  const under = head && head.top > top ? head.height : 0;
-  const height = innerHeight - top - scrollY - Math.max(0, around) - below - under;
+  // On a narrow screen what is counted stands below the units: in the window, or where it has no room there, outside of it.
+  const totals = document.querySelector(".totals")?.getBoundingClientRect();
+  const under = totals && totals.top > top ? totals.height : 0;
+  const height = innerHeight - top - scrollY - Math.max(0, around) - below + (under ? BLANK_PX : 0);
   const isPhone = innerWidth < PHONE_PX && "auto" in line.dataset;
   const least = SIZES[isPhone ? "phone" : line.matches(".line--tiles") ? "tiles" : "matrix"];
   const units = webs.map((web) => web.childElementCount);
   const present = `${innerWidth} ${innerHeight}`;
-  const kept = counted.of === present ? fitWith(counted.columns, units, boxes[0].width, height, least) : null;
-  const found = kept ?? fitOf(units, boxes[0].width, height, least);
+  const fitIn = (/** @type {number} */ room) =>
+    (counted.of === present ? fitWith(counted.columns, units, boxes[0].width, room, least) : null) ??
+    fitOf(units, boxes[0].width, room, least);
+  let found = fitIn(height - under);
+  if (under && found.height <= least.height) found = fitIn(height);
   counted = { columns: found.columns, of: present };
   line.dataset.size = isPhone ? "phone" : sizeOf(found);
   line.style.setProperty("--columns", String(found.columns));

@@ -124,7 +124,7 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
     page.get_by_label("Leave out Dryer 2").check()
     send(page)
     expect(page.locator("[data-review-done=good]")).to_contain_text("4 changes made")
-    expect(page.locator("#review")).to_contain_text("left out: not in REMOTE")
+    expect(page.locator("#tray-result")).to_contain_text("left out: not in REMOTE")
     assert writes(site)[sent:] == [0x82, 0x82, 0x83, 0x87, 0x86]
     assert [site.unit(unit)["commanded"] for unit in (3, 4)] == ["90.0", "91.0"]
     expect(strip(page)).to_contain_text(re.compile(r"1 change\W+1 unit"))
@@ -133,6 +133,7 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
 
     page.get_by_role("button", name="Undo: set the former setpoints").click()
     page.get_by_role("button", name="Set 2 units now").click()
+    expect(page.locator("#tray-result")).not_to_contain_text("4 changes made", timeout=UNIT_MS)
     expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=UNIT_MS)
     assert {unit: site.unit(unit)["commanded"] for unit in before} == before
     with site.api() as client:

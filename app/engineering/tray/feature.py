@@ -455,10 +455,12 @@ def _outcome(page: BusPage, result: TrayResult) -> OutcomeText:
 
 
 def _refused(page: BusPage, problem: Problem) -> Response:
-    """End a review without sending. Raise Problem for a browser without scripts."""
+    """End a review without sending, where it is open. Raise Problem for a browser without scripts."""
     if not _is_in_page(page):
         raise problem
-    return page.refused(problem, page.translator.t(TITLE))
+    response = page.refused(problem, page.translator.t(TITLE))
+    response.headers["HX-Retarget"] = "#review-body"
+    return response
 
 
 def _shown(page: BusPage, template: str, **context: Any) -> Response:
