@@ -13,6 +13,8 @@ export const LANE_FILL = 0.7;
 const PRIORITIES = ["urgent", "high", "medium", "low"];
 /** Percent that the name of an alarm needs at least. */
 const LEAST_ROOM = 12;
+/** Percent from one mark of a row to the next that is drawn: nearer ones would hide each other. */
+const LEAST_APART = 3;
 
 /** Where a time is in a span, in percent; what is outside is at its end. @param {Span} span */
 const percentIn = ([from, to]) => /** @param {number} t */ (t) => (100 * (Math.min(Math.max(t, from), to) - from)) / (to - from);
@@ -113,13 +115,18 @@ function lanes(trends, beside) {
   const top = (row) => `${row * ROW - lanesHeight(trends)}px`;
   /** @param {string} word @param {number} row @param {number} count */
   const lane = (word, row, count) => part("trends__lane", { top: top(row), height: `${count * ROW}px` }, part("", {}, word));
+  let drawn = { row: -1, x: 0 };
   return [
     lane(words.alarms, 0, rows),
     ...(notes.length ? [lane(words.notes, rows, 1)] : []),
-    ...placed(alarms, range).flatMap(({ index, priority, row, x, end, room, before, label }) => {
+    ...placed(alarms, range).flatMap(({ index, priority, until, row, x, end, room, before, label }) => {
       const place = { left: x, top: top(row), width: end - x };
-      const mark = part("trends__alarm alarm-priority", place, part("alarm-priority__shape", {}));
-      Object.assign(mark.dataset, { is: priority, list: "alarms", index });
+      const mark = part("trends__alarm alarm-priority", place);
+      Object.assign(mark.dataset, { is: until === null ? priority : `${priority} cleared`, list: "alarms", index });
+      if (until === null || row !== drawn.row || x - drawn.x >= LEAST_APART) {
+        mark.append(part("alarm-priority__shape", {}));
+        drawn = { row, x };
+      }
       const [isBefore, isLast] = [room < LEAST_ROOM && before >= 2 * LEAST_ROOM, end + room >= 100];
       if (isBefore) return [part("trends__who", { right: 100 - x, top: top(row), "max-width": before < x ? before / 2 : x }, label), mark];
       const most = isLast ? `calc(${room}% + ${beside}px)` : room < 2 * LEAST_ROOM ? room : room / 2;
@@ -148,7 +155,7 @@ function names(plot, { curves, range, dimmed }, scaleOf, room) {
     drawing("trends__hairs", hairs.join("")),
     ...ends.map(({ place, label, key, ended }, i) => {
       const name = part("trends__name", { top: `${places[i]}px`, "max-width": `${room - HAIR - 4}px` }, `${place + 1}`);
-      if (room > LEAST_NAME) name.append(` ${label}`);
+      if (room > LEAST_NAME) name.append(...givingWay(label));
       name.classList.toggle("trends__name--dimmed", ended || dimmed.has(key));
       return name;
     }),
@@ -157,6 +164,14 @@ function names(plot, { curves, range, dimmed }, scaleOf, room) {
       return part("trends__bit", { top: `${middle}px`, "max-width": `${plot.over.offsetLeft - 8}px` }, `${place + 1} ${name}`);
     }),
   ];
+}
+
+/** The name of a unit, which is cut where it is too long, and what is shown of it, which is not. @param {string} label */
+function givingWay(label) {
+  const at = label.lastIndexOf(" · ");
+  const unit = document.createElement("bdi");
+  unit.textContent = at < 0 ? label : label.slice(0, at);
+  return at < 0 ? [unit] : [unit, label.slice(at)];
 }
 
 /** Where labels of a height stand that want to be at `wanted`, in order of these, within a span: midway between where those

@@ -70,10 +70,11 @@ async def notification_page(
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
     endpoint: Annotated[str, Query(max_length=400)] = "",
     state: Annotated[str, Query(max_length=20)] = "",
+    tested: Annotated[int | None, Query(ge=0, le=2**62)] = None,
 ) -> Response:
     """Show the state of notification, the people on duty, maintenance, and the sent messages: all, or those
-    of an ``endpoint`` or a ``state``."""
-    return await _page(request, notification, before, endpoint, state)
+    of an ``endpoint`` or a ``state``. ``tested``: the test message just sent, or 0 without a result."""
+    return await _page(request, notification, before, endpoint, state, tested)
 
 
 async def _page(
@@ -82,6 +83,7 @@ async def _page(
     before: int | None = None,
     endpoint: str = "",
     state: str = "",
+    tested: int | None = None,
     refused: Mapping[str, object] = MappingProxyType({}),
 ) -> Response:
     """Show the page of notification; ``refused``: the texts of the maintenance form, and its ``fault``."""
@@ -105,6 +107,7 @@ async def _page(
         ],
         older=found[ON_A_PAGE - 1].id if len(found) > ON_A_PAGE else None,
         before=before,
+        tested=tested,
         chosen={"endpoint": endpoint, "state": state},
     )
 
@@ -116,8 +119,8 @@ async def send_test(
     endpoint: Annotated[str, Form(max_length=400)],
 ) -> Response:
     """Send a test message; the page then shows its result."""
-    await notification.test(person, endpoint)
-    return _to_page()
+    delivery = await notification.test(person, endpoint)
+    return _to_page(f"?tested={delivery.id if delivery else 0}")
 
 
 @router.post("/notifications/maintenance")
@@ -171,8 +174,8 @@ async def acknowledge_by_link(
     return RedirectResponse(f"/alarms/{alarms.find(alarm).alarm.id}", SEE_OTHER)
 
 
-def _to_page() -> Response:
-    return RedirectResponse("/notifications", SEE_OTHER)
+def _to_page(query: str = "") -> Response:
+    return RedirectResponse(f"/notifications{query}", SEE_OTHER)
 
 
 def make(services: Services) -> None:
