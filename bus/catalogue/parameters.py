@@ -223,7 +223,8 @@ _ROWS = (
               scale=Scale.BAUD, allowed=frozenset({3, 6, 12, 24, 48, 96})),
     Parameter(19, "Local/Remote/Keylock", "UCHR", 0, 2, "C", LINK,
               "Source of the unit's commands. The bus cannot leave Local.",
-              dangerous="The unit will reject every write until it is set to REMOTE at its keypad",
+              dangerous="The unit will reject every write, also an undo of this one, "
+                        "until it is set to REMOTE at its keypad",
               choices={0: "Local", 1: "Remote", 2: "Keylock"}, harmless=frozenset({1})),
     Parameter(20, "Speed Setpoint", "ULNG", 0, 99999, "C", SPEED,
               "Speed setpoint.",

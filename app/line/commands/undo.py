@@ -20,7 +20,7 @@ from app.line.commands.review import REVIEW_LASTS_S, present_setpoint
 from app.line.commands.rules import staged_setpoints
 from app.line.commands.values import Scales, parameter_message, scales_of, setpoint_message
 from app.line.live.bus_live import BusLive
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.parameters import CONTROL_MODE, PARAMETERS
 from bus.catalogue.values import output_is_on
 from bus.contract import (
     Action,
@@ -70,7 +70,8 @@ def values_set(action: Action, bus: BusLive) -> Values | None:
         case WriteAnalogOutput(unit=unit, raw=raw):
             return {ValuePlace("analog", unit): raw}
         case WriteParameter(unit=unit, number=number, raw=raw) if not PARAMETERS[number].secret:
-            return {ValuePlace("parameter", unit, number): raw}
+            # The unit would reject the undo: it is out of REMOTE until its keypad sets it back.
+            return None if number == CONTROL_MODE else {ValuePlace("parameter", unit, number): raw}
     return None
 
 

@@ -92,6 +92,12 @@ async def test_nothing_is_offered_that_would_be_another_value_in_the_scale_that_
 
 
 @pytest.mark.usefixtures("obeying")
+async def test_a_unit_that_was_taken_out_of_remote_could_only_reject_the_undo(site: House) -> None:
+    site.live.apply([ParameterValue(unit=1, number=19, at=time.time(), raw=1)])
+    assert await send(site, WriteParameter(unit=1, number=19, raw=0), "first-id") is None
+
+
+@pytest.mark.usefixtures("obeying")
 async def test_a_change_of_several_has_its_undo_while_another_unit_holds_a_staged_value(site: House) -> None:
     """That unit keeps its speed and its staged value (bus/line/commands/staging.py)."""
     site.live.apply([Staged(unit=16, at=time.time(), raw=700)])
