@@ -108,7 +108,7 @@ def start_line(folder: Path, units: int, *options: str, name: str = "line") -> L
     called = ("simulate", "--units", str(units), "--link", link, "--control", "0", *options)
     process = fork_server.start(*called, stdout=subprocess.PIPE)
     assert process.stdout is not None
-    respond_in_time(process)
+    fork_server.run_at_once(process.pid)
     port = process.stdout.readline().strip()
     control = process.stdout.readline().rpartition(":")[2]
     assert control, "lineside simulate did not start; its error output stands above"
@@ -121,13 +121,6 @@ def run_in_time(process: ForkedProcess | subprocess.Popen[Any]) -> None:
     """
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, process.pid, -10)
-
-
-def respond_in_time(process: ForkedProcess) -> None:
-    """A real unit responds at once. A priority counts among the processes of a session alone (autogroup,
-    sched(7)), and browsers have their own: beside them a unit that has it still responds 0.1 s late."""
-    with suppress(PermissionError):
-        os.sched_setscheduler(process.pid, os.SCHED_RR, os.sched_param(1))
 
 
 def end(process: ForkedProcess | subprocess.Popen[Any], number: int = signal.SIGTERM) -> int:
