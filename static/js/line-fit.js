@@ -86,7 +86,8 @@ function fit(line) {
   const { top } = line.getBoundingClientRect();
   // On a narrow screen what is counted stands below the units: in the window, or where it has no room there, outside of it.
   const totals = document.querySelector(".totals")?.getBoundingClientRect();
-  const under = totals && totals.top > top ? totals.height : 0;
+  const recipes = document.querySelector(".totals__recipes")?.getBoundingClientRect().height ?? 0;
+  const under = totals && totals.top > top ? totals.height - recipes : 0;
   const height = innerHeight - top - scrollY - Math.max(0, around) - below + (under ? BLANK_PX : 0);
   const isPhone = innerWidth < PHONE_PX && "auto" in line.dataset;
   const least = SIZES[isPhone ? "phone" : line.matches(".line--tiles") ? "tiles" : "matrix"];

@@ -51,7 +51,7 @@ function follow(line) {
     level = String(fields.level ?? "");
     if (isAll && isUrgent) show(line);
     // Once the texts are written.
-    if (["verdict", "place", "last", "event"].some((field) => field in changed))
+    if (["verdict", "place", "last", "event", "recipe"].some((field) => field in changed))
       requestAnimationFrame(() => fitIn(line));
   });
 }

@@ -376,12 +376,18 @@ class AlarmBanner:
         self._changed += 1
 
     def banner(self, translator: Translator) -> Fields:
-        """Return the mark of the first alarm, the number of active alarms, and the number that waits for an
-        acknowledgement. Of alarms as urgent as the first, one that waits comes before the others."""
+        """Return the mark of the first alarm, the numbers of active and of unknown alarms, and the number
+        that waits for an acknowledgement. Of alarms as urgent as the first, one that waits comes before the
+        others."""
         found = self._alarms.annunciated()
         first = min(found, key=lambda alarm: (rank(alarm)[:3], not alarm.is_unacknowledged), default=None)
+        # What suppresses an alarm, as a closed port does, may be why nobody knows whether it goes on.
+        shown = (alarm.facts for alarm in self._alarms.present() if not alarm.facts.is_hidden_by_person)
+        unknown = sum(facts.active and facts.unknown_since is not None for facts in shown)
         active, waiting = alarm_counts(
-            sum(alarm.facts.active for alarm in found), sum(alarm.is_unacknowledged for alarm in found)
+            sum(alarm.facts.active and alarm.facts.unknown_since is None for alarm in found),
+            sum(alarm.is_unacknowledged for alarm in found),
+            unknown,
         )
         return {
             "mark": first.mark if first else "",
@@ -420,10 +426,14 @@ class AlarmBanner:
         return alarm.definition.attributes.on_delay_s
 
 
-def alarm_counts(active: int, waiting: int) -> tuple[Message, Message | None]:
-    """Return the number of active alarms, and the number that waits for an acknowledgement, whether active or
-    not; None if none does. Each surface shows these two counts."""
-    if active:
+def alarm_counts(active: int, waiting: int, unknown: int = 0) -> tuple[Message, Message | None]:
+    """Return the number of active alarms, with those that are ``unknown`` since they were active, and the
+    number that waits for an acknowledgement, whether active or not; None if none does."""
+    if unknown and active:
+        counted = Message.of("alarms_active_and_unknown", n=active, unknown=unknown)
+    elif unknown:
+        counted = Message.of("alarms_unknown", n=unknown)
+    elif active:
         counted = Message.of("alarms_active", n=active)
     else:
         counted = Message("no_alarm_active" if waiting else "no_alarms")

@@ -126,10 +126,12 @@ def line_fields(
     without its time, which the pages of units and alarms state beside the condition."""
     counts = state_counts(views.values())
     abnormal = len(_abnormal_units(buses, found) | alarmed)
-    worst = verdict_of(found)
+    worst, said = verdict_of(found), set[str]()
     if worst is not None:
         texts = cause_texts(worst.cause, translator, now)
-        name, cause, untimed = translator.isolated(worst.name), texts.line, texts.text
+        alike = [each for each in found if each is worst or _is_said_by(each, texts.line, translator, now)]
+        said = {each.key for each in alike}
+        name, cause, untimed = _listed(alike, translator), texts.line, texts.text
     else:
         name, cause = "", translator.t(all_well(len(views), counts, _running_at(buses)))
         untimed = cause
@@ -146,11 +148,20 @@ def line_fields(
         "staged": f"{sum(map(units_staged, buses.values())) or ''}",
         "named": " · ".join(
             [
+                *_named(found, worst.key if worst else "", said, views, translator, now),
                 *_not_yet(worst, alarm_delay_s, translator),
-                *_named(found, worst.key if worst else "", views, translator, now),
             ]
         ),
     } | _figures(buses, translator, now)
+
+
+def _is_said_by(named: NamedCause, line: str, translator: Translator, now: UnixTime) -> bool:
+    """Return whether the line of the verdict is that of another bus, too."""
+    return "/" not in named.key and cause_texts(named.cause, translator, now).line == line
+
+
+def _listed(named: Iterable[NamedCause], translator: Translator) -> str:
+    return ", ".join(translator.isolated(each.name) for each in named)
 
 
 def _abnormal_units(buses: Mapping[str, BusLive], found: Iterable[NamedCause]) -> set[str]:
@@ -220,14 +231,19 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
 
 
 def _named(
-    found: Sequence[NamedCause], worst: str, views: Views, translator: Translator, now: UnixTime
+    found: Sequence[NamedCause],
+    worst: str,
+    said: Set[str],
+    views: Views,
+    translator: Translator,
+    now: UnixTime,
 ) -> list[str]:
     """Return the texts beside the verdict: each abnormal bus, abnormal conditions without an alarm, each
-    block. ``worst``: the key of the unit or bus that the verdict names."""
+    block. ``worst``: the key of the unit or bus of the verdict; ``said``: those that it names."""
     buses = [
         f"{translator.isolated(name)}: {cause_texts(cause, translator, now).line}"
         for key, name, cause in found
-        if "/" not in key and key != worst
+        if "/" not in key and key not in said
     ]
     blocks = [
         f"{translator.isolated(view.unit.settings.name)} {translator.t('blocked')}: {view.blocked}"
@@ -251,9 +267,9 @@ def _stopped_by_input(found: Sequence[NamedCause], worst: str, translator: Trans
         return []
     if [each.key for each in stopped] == [worst]:
         return [translator.t(NO_ALARM)]
-    names = [translator.isolated(each.name) for each in stopped]
-    many = translator.tn("{n} unit", "{n} units", len(names))
-    return [f"{', '.join(names) if len(names) <= MAX_NAMES else many}: {translator.t(NO_ALARM)}"]
+    many = translator.tn("{n} unit", "{n} units", len(stopped))
+    names = _listed(stopped, translator) if len(stopped) <= MAX_NAMES else many
+    return [f"{names}: {translator.t(NO_ALARM)}"]
 
 
 def _figures(buses: Mapping[str, BusLive], translator: Translator, now: UnixTime) -> Fields:
@@ -283,12 +299,18 @@ def _is_active(mark: str) -> bool:
 
 
 def _worn(alarm: Fields, level: Level) -> Fields:
-    """Return the mark of a unit on the line, and whose words are beside it. An alarm that is worse than the
-    cause has both; if it is as bad, it has the mark; a lesser alarm has neither."""
+    """Return the mark of a unit on the line, whose words are beside it, and the ``priority`` of both. An
+    alarm that is worse than the cause has both; if it is as bad, it has the mark, and of two of low priority
+    the words; a lesser alarm has neither."""
     mark = str(alarm.get("alarm", ""))
     place = LEVELS.index(mark.split()[0]) if _is_active(mark) else len(LEVELS)
     cause = LEVELS.index(level)
-    return {"worn": mark if place <= cause else "", "words": "alarm" if place < cause else ""}
+    is_said = place < cause or (place == cause and level == "low")
+    return {
+        "worn": mark if place <= cause else "",
+        "words": "alarm" if is_said else "",
+        "priority": LEVELS[min(place, cause)],
+    }
 
 
 def _says_since(alarm: Fields, cause: Cause | None, bus: str, unit: int) -> bool:

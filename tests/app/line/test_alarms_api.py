@@ -491,8 +491,12 @@ async def test_an_unknown_condition_is_not_shown_as_active(house: House) -> None
     estop(house.services, active=True)
     alarm = house.services[LineAlarms].buses[BUS].list.alarms[ESTOP]
     alarm.facts = replace(alarm.facts, unknown_since=unix_now())
-    fields = AlarmBanner(house.services[LineAlarms]).unit_fields(BUS, 1, translator(), unix_now())
+    banner = AlarmBanner(house.services[LineAlarms])
+    fields = banner.unit_fields(BUS, 1, translator(), unix_now())
     assert fields["alarm_state"].startswith("unknown since")
+    assert banner.banner(translator())["active"] == "1 alarm unknown"
+    remote_off(house, unit=2)
+    assert banner.banner(translator())["active"] == "1 active, 1 unknown"
 
 
 async def test_the_figures_are_a_page_and_data_and_a_file(house: House) -> None:
