@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from app.core.web.shape import iso
 from app.line.history.service import History
-from app.line.live.bus_live import BusLive, held_units
+from app.line.live.bus_live import BusLive
 from app.line.live.change_recorder import ChangeDetector, ChangeRecorder, LineEvent
 from bus.catalogue.values import plausible_parameter
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
@@ -64,11 +64,6 @@ class Pipeline:
     def units(self) -> Collection[int]:
         """The addresses of the units that are configured for this bus."""
         return self._live.units.keys()
-
-    @property
-    def held_units(self) -> list[int]:
-        """The addresses of the units that may hold a staged speed, as far as the app knows."""
-        return held_units(self._live)
 
     @property
     def port_is_open(self) -> bool:

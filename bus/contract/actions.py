@@ -101,6 +101,11 @@ class BusAction(TaggedStruct, frozen=True):
         """Whether the action can only bring units to a standstill."""
         return False
 
+    @property
+    def stages(self) -> tuple[int, ...]:
+        """The units in which the action stages a speed (82h)."""
+        return ()
+
 
 class UnitAction(BusAction, frozen=True):
     """An action that addresses one unit."""
@@ -127,6 +132,10 @@ class SetSpeed(UnitAction, frozen=True, tag="set_speed"):
     def stops(self) -> bool:
         return self.raw == 0
 
+    @property
+    def stages(self) -> tuple[int, ...]:
+        return () if self.execute else self.units
+
 
 class ExecuteSpeed(UnitAction, frozen=True, tag="execute_speed"):
     """83h to one unit, which takes over its staged speed."""
@@ -149,6 +158,10 @@ class SetLine(BusAction, frozen=True, tag="set_line"):
     @property
     def stops(self) -> bool:
         return not any(self.setpoints.values())
+
+    @property
+    def stages(self) -> tuple[int, ...]:
+        return self.units
 
 
 class WriteOutput(UnitAction, frozen=True, tag="write_output"):

@@ -31,7 +31,7 @@ from app.line.commands import feature as commands
 from app.line.commands.record import CommandRecord
 from app.line.commands.safeguards import Safeguards
 from app.line.commands.service import CommandService
-from app.line.feed.bus_feed import BusFeed
+from app.line.feed.bus_feed import BusFeed, HeldSpeeds
 from app.line.feed.channel import Channel
 from app.line.history.service import History
 from app.line.live.bus_live import BusLive
@@ -156,7 +156,8 @@ class House:
     def commands_after_restart(self) -> CommandService:
         """Return the commands of a server that remembers nothing but what is on disk."""
         of_bus, record = self.services.buses[BUS], CommandRecord(self.log, self.services[Database], time.time)
-        return CommandService(self.live, of_bus[Channel], record, self.guards, self.services[Rights])
+        held = of_bus[HeldSpeeds]
+        return CommandService(self.live, of_bus[Channel], record, self.guards, self.services[Rights], held)
 
     def http(self, role: str = "admin", name: str = "") -> httpx.AsyncClient:
         """Return a browser of a person, named as the role unless ``name`` is given, who has the role from now

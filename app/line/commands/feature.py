@@ -34,6 +34,7 @@ from app.line.commands.record import CommandRecord
 from app.line.commands.safeguards import ACTS, Safeguards
 from app.line.commands.service import END_SCAN, Commands, CommandService, permitted
 from app.line.commands.trace_file import trace_line
+from app.line.feed.bus_feed import HeldSpeeds
 from app.line.feed.channel import Channel
 from app.line.live.bus_live import BusLive, LiveState, UnitLive, units_staged
 from app.line.live.fields import unit_key
@@ -139,8 +140,8 @@ def make(services: Services) -> None:
         guards.on_control(hub.show_control)
         services[Sources].guards[name] = guards
         services.lifespan.add(f"safeguards of {name}", start=of_bus.add(guards).load)
-        live, channel = of_bus[BusLive], of_bus[Channel]
-        of_bus.add(CommandService(live, channel, record, guards, rights))
+        live, channel, held = of_bus[BusLive], of_bus[Channel], of_bus[HeldSpeeds]
+        of_bus.add(CommandService(live, channel, record, guards, rights, held))
     all_guards = services.of_buses(Safeguards).values()
     lives = services.of_buses(BusLive)
     services[Templates].parts["staged"] = lambda *_: [

@@ -44,7 +44,8 @@ from app.line.commands.rules import (
 from app.line.commands.safeguards import Safeguards
 from app.line.commands.undo import Undoing
 from app.line.commands.values import Scales, parameter_scale, raw_of_percent, setpoint_scale, wording_scales
-from app.line.feed.channel import Channel
+from app.line.feed.bus_feed import HeldSpeeds
+from app.line.feed.channel import Channel, is_reported
 from app.line.live.bus_live import BusLive, UnitLive
 from app.line.live.requests import new_command_id, unit_of_bus_or_404
 from app.people.audit.acts import Act
@@ -84,6 +85,7 @@ class CommandService:
         record: CommandRecord,
         guards: Safeguards,
         rights: Rights,
+        held: HeldSpeeds,
         monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self._live = live
@@ -91,6 +93,7 @@ class CommandService:
         self._record = record
         self._guards = guards
         self._rights = rights
+        self._held = held
         self._monotonic = monotonic
         self._moves = Moves()
         self._turns: FairQueue[tuple[str, bool]] = FairQueue(inf, MAX_AT_ONCE, MAX_WAITING)
@@ -403,10 +406,24 @@ class CommandService:
 
         try:
             with _later(RECHECK_S, watch):
-                result = await self._channel.send(command)
+                result = await self._staged_or_sent(command)
         finally:
             self._scans.pop(request.id, None)
         return replace(result, message=joined((*reasons, result.message))) if reasons else result
+
+    async def _staged_or_sent(self, command: Command) -> Result:
+        """Send a command to the worker; one that stages speeds once its units are on disk."""
+        units = command.action.stages
+        if not units:
+            return await self._channel.send(command)
+        try:
+            async with self._held.staging(units):
+                result = await self._channel.send(command)
+                if not is_reported(result):
+                    self._held.show_unknown(units)
+        except StoreError as error:
+            return Result(id=command.id, at=unix_now(), outcome="not_sent", message=error.message)
+        return result
 
     async def end_scans(self, person: Person) -> bool:
         """End the scans of the bus after the address under way; the result of each names the person. Return

@@ -9,7 +9,9 @@ merely stalls (suspended, starved, behind a cut network) keeps its bus for longe
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Collection, Sequence
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Collection, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from math import inf
@@ -136,6 +138,7 @@ class BusFeed:
 
     _channel: Channel
     _pipeline: Pipeline
+    _held: HeldSpeeds
     monotonic: MonotonicClock = monotonic_now
     timeout_ticks: int = TIMEOUT_TICKS
     coverage: Coverage = field(default_factory=Coverage)
@@ -212,7 +215,7 @@ class BusFeed:
             await former.close(REPLACED)
         connection.admit()
         try:
-            held = self._pipeline.held_units
+            held = self._held.units
             await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, unix_now(), held=held))
             await self._follow(hello, connection)
         except MalformedMessageError as error:
@@ -279,7 +282,10 @@ class HeldSpeeds:
 
     _live: BusLive
     _database: Database
+    _under_way: Counter[int] = field(default_factory=Counter)
+    """The number of commands under way that stage a speed in each unit."""
     _stored: set[int] = field(default_factory=set)
+    _storing: asyncio.Lock = field(default_factory=asyncio.Lock)
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def load(self) -> None:
@@ -287,8 +293,32 @@ class HeldSpeeds:
         query, bus = "SELECT unit FROM held_speed WHERE bus = ?", (self._live.settings.name,)
         rows = await self._database.read(lambda connection: connection.execute(query, bus).fetchall())
         self._stored = {unit for (unit,) in rows}
-        self._live.apply([Staged(unit, unix_now(), None, unknown=True) for unit in self._stored])
+        self.show_unknown(self._stored)
         self._live.subscribe(Audience.DRIFT, self._note)
+
+    @property
+    def units(self) -> list[int]:
+        """The addresses of the units that may hold one, as far as the app knows."""
+        return sorted({*held_units(self._live), *+self._under_way})
+
+    @asynccontextmanager
+    async def staging(self, units: Collection[int]) -> AsyncIterator[None]:
+        """Store that ``units`` may hold one before a command stages it, because server and worker may end
+        before the response. Raise StoreError, after which nothing may be sent."""
+        self._under_way.update(units)
+        try:
+            await self._store()
+            yield
+        except BaseException:
+            self.show_unknown(units)
+            raise
+        finally:
+            self._under_way.subtract(units)
+            self._changed.set()
+
+    def show_unknown(self, units: Collection[int]) -> None:
+        """Show that it is not known what ``units`` hold."""
+        self._live.apply([Staged(unit, unix_now(), None, unknown=True) for unit in units])
 
     def _note(self, updates: Sequence[Update]) -> None:
         if any(isinstance(update, Staged) for update in updates):
@@ -299,23 +329,24 @@ class HeldSpeeds:
         while await self._changed.wait():
             self._changed.clear()
             try:
-                await self._store(set(held_units(self._live)))
+                await self._store()
             except StoreError:
                 self._changed.set()
                 await asyncio.sleep(STORE_AGAIN_S)
 
-    async def _store(self, held: set[int]) -> None:
-        if held == self._stored:
-            return
-        bus, stored = self._live.settings.name, self._stored
+    async def _store(self) -> None:
+        async with self._storing:
+            held, stored, bus = set(self.units), self._stored, self._live.settings.name
+            if held == stored:
+                return
 
-        def write(connection: StoreConnection) -> None:
-            gone, new = ([(bus, unit) for unit in units] for units in (stored - held, held - stored))
-            connection.executemany("DELETE FROM held_speed WHERE bus = ? AND unit = ?", gone)
-            connection.executemany("INSERT OR IGNORE INTO held_speed VALUES (?, ?)", new)
+            def write(connection: StoreConnection) -> None:
+                gone, new = ([(bus, unit) for unit in units] for units in (stored - held, held - stored))
+                connection.executemany("DELETE FROM held_speed WHERE bus = ? AND unit = ?", gone)
+                connection.executemany("INSERT OR IGNORE INTO held_speed VALUES (?, ?)", new)
 
-        await self._database.write(write)
-        self._stored = held
+            await self._database.write(write)
+            self._stored = held
 
 
 async def send_away(connection: WorkerConnection, reason: Message, now: UnixTime) -> None:

@@ -177,6 +177,11 @@ class Channel:
         return Message("worker_no_result")
 
 
+def is_reported(result: Result) -> bool:
+    """Return whether a worker has reported how a command ended: it names the frames that it has sent."""
+    return result.outcome != "unverified" or bool(result.frames)
+
+
 def _due_at(command: Command) -> Monotonic:
     return monotonic_now() + max(0.0, command.deadline - unix_now())
 

@@ -25,9 +25,9 @@ def make(services: Services) -> None:
 def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
     history = services[History]
     pipeline = bus.add(Pipeline(bus[BusLive], history, bus[ChangeRecorder]))
-    feed = bus.add(BusFeed(bus.add(Channel()), pipeline))
+    held = bus.add(HeldSpeeds(bus[BusLive], services[Database]))
+    feed = bus.add(BusFeed(bus.add(Channel()), pipeline, held))
     services[Hub].watchers[name] = feed.watch
-    held = HeldSpeeds(bus[BusLive], services[Database])
     services.lifespan.add(f"staged speeds of {name}", held.follow, start=held.load)
     services.lifespan.add(f"feed of {name}", start=lambda: feed.load(history.newest(name)))
 

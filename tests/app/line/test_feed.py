@@ -12,6 +12,7 @@ from starlette.types import Message as AsgiMessage
 from starlette.websockets import WebSocket, WebSocketState
 
 from app.core.database import Database
+from app.core.web.access import Person, Role
 from app.line.feed import bus_feed
 from app.line.feed import channel as channels
 from app.line.feed import socket as sockets
@@ -23,6 +24,7 @@ from app.line.pipeline import OTHER_RELEASE
 from app.people.audit.log import Filter
 from bus.contract import (
     CONTRACT_VERSION,
+    Action,
     AppMessage,
     Batch,
     BusLink,
@@ -31,6 +33,7 @@ from bus.contract import (
     Delivered,
     Progress,
     Result,
+    SetLine,
     SetSpeed,
     Staged,
     WantSnapshot,
@@ -41,8 +44,10 @@ from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message, term
 from tests.app.complete_app import OWN_WORKER, House
 from tests.app.conftest import Kept
-from tests.app.fake_worker import HandshakeRefused, hello, reading, result_of, snapshot, until
+from tests.app.fake_worker import HandshakeRefused, hello, reading, responding, result_of, snapshot, until
 from tests.for_each import for_each
+
+ANNA = Person("anna", Role.ENGINEER, "token")
 
 
 @pytest.fixture
@@ -141,6 +146,38 @@ async def test_what_units_may_hold_staged_outlives_worker_and_server(site: House
     assert welcome.held == [1, 2]
     await second.send(snapshot())
     await until(lambda: stored() == [], "both units removed, as this worker knows what they hold")
+
+
+@pytest.mark.parametrize("change", [SetSpeed(unit=1, raw=300, execute=False), SetLine(setpoints={1: 300})])
+async def test_a_unit_may_hold_what_was_staged_and_never_reported(site: House, change: Action) -> None:
+    """Whichever of worker and server ends before the response: the next broadcast would execute it."""
+    worker, database = await site.worker(), site.services[Database]
+    sending = asyncio.create_task(site.commands.send(ANNA, change))
+    await worker.receive(Command)
+    server_ends_now = bus_without_reports(site.live.settings, unix_now())
+    await HeldSpeeds(server_ends_now, database).load()
+    assert server_ends_now.units[1].staged_unknown
+    await worker.leave(GOING_AWAY)
+    second = await site.connect()
+    await second.send(hello("w2"))
+    welcome = await second.receive(Welcome)
+    assert isinstance(welcome, Welcome)
+    assert welcome.held == [1]
+    await second.send(snapshot())
+    assert (await sending).outcome == "unverified"
+    assert site.live.units[1].staged_unknown
+
+
+async def test_a_unit_holds_nothing_once_a_worker_has_reported_that(site: House) -> None:
+    worker, database = await site.worker(), site.services[Database]
+    worker.play = responding("refused", unit_error=129)
+    await site.commands.send(ANNA, SetSpeed(unit=1, raw=300, execute=False))
+    assert held_units(site.live) == []
+
+    def stored() -> object:
+        return database.read_now(lambda connection: connection.execute("SELECT 1 FROM held_speed").fetchone())
+
+    await until(lambda: stored() is None, "nothing stored")
 
 
 @pytest.mark.usefixtures("quick_ticks")
