@@ -305,8 +305,8 @@ export function start() {
     // What a message takes the place of may have had an undo.
     document.dispatchEvent(new CustomEvent("lineside:reported"));
     // A message beside a field may be outside the window: on a phone the button is a pad below it. Scroll only for
-    // the person who clicked.
-    target.scrollIntoView({ block: "nearest" });
+    // the person who clicked; what sticks to the foot of the window is always in it.
+    if (!target.matches(".tray")) target.scrollIntoView({ block: "nearest" });
   });
   document.addEventListener("htmx:error", (event) => {
     const form = content.querySelector("[data-pending]");
