@@ -16,7 +16,7 @@ from tests.e2e.pages import BESIDE_THE_RAIL, PANEL, PHONE, WALKED, count_shifts,
 from tests.e2e.site import Site, eventually
 from tests.sizes import sizes
 
-RUNNING = re.compile(r"^\s*Running, setpoint 119\.4 m/min · all 8 at speed\s*$")
+RUNNING = re.compile(r"^\s*Running 119\.4 m/min · all 8 at speed\s*$")
 
 
 def opened(page: Page, path: str) -> Page:

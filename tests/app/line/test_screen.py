@@ -320,7 +320,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     shown.render("dry", [1], 100.4, include_bus=False)
     live.buses["dry"].apply([reading(2, at=100.4)])
     well = shown.render("dry", [2], 100.4, include_bus=False)["line_summary"]
-    verdict = "Running, setpoint 120.0 m/min · all 2 at speed"
+    verdict = "Running 120.0 m/min · all 2 at speed"
     assert (well["verdict"], well["at"], well["counts"]) == (verdict, "", "")
 
 
@@ -408,8 +408,8 @@ def test_a_bus_without_any_response_is_one_entry() -> None:
     [
         (
             [{}, {}],
-            "Running, setpoint 120.0 m/min · all 2 at speed",
-            "Läuft, Sollwert 120,0 m/min · alle 2 auf Sollwert",
+            "Running 120.0 m/min · all 2 at speed",
+            "Läuft mit 120,0 m/min · alle 2 auf Sollwert",
         ),
         ([{"commanded": 0, "actual": 0}] * 2, "All 2 units at zero", "Alle 2 Regler auf null"),
         ([{}, {"outputs": 0x40, "actual": 900}], "1 of 2 ramping", "1 von 2 in Rampe"),
@@ -420,8 +420,8 @@ def test_a_bus_without_any_response_is_one_entry() -> None:
         ),
         (
             [{}],
-            "Running, setpoint 120.0 m/min · 1 unit at speed",
-            "Läuft, Sollwert 120,0 m/min · 1 Regler auf Sollwert",
+            "Running 120.0 m/min · 1 unit at speed",
+            "Läuft mit 120,0 m/min · 1 Regler auf Sollwert",
         ),
         ([{"commanded": 0, "actual": 0}], "1 unit at zero", "1 Regler auf null"),
     ],
