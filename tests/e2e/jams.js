@@ -32,6 +32,11 @@
     }
     return { left, top, right, bottom, width: right - left, height: bottom - top };
   };
+  /** How much more than its box of a control is pressed: what it draws around itself, as a tile's mark does. */
+  const around = (element) => {
+    const { content, position, top } = getComputedStyle(element, "::after");
+    return content !== "none" && position === "absolute" ? Math.max(0, -2 * Number.parseFloat(top)) : 0;
+  };
   const both = (a, b) => [Math.min(a.right, b.right) - Math.max(a.left, b.left), Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top)];
   const overlap = (a, b) => both(a, b).every((px) => px > SLACK_PX);
   /** A link within a sentence is as high as its line, and where it is broken its box has the next one in it. */
@@ -62,7 +67,7 @@
       if (overlap(box, other.box)) found.add(`${nameOf(element)} lies on ${nameOf(other.element)}`);
       const [x, y] = both(box, other.box);
       const small = [[element, whole], [other.element, other.whole]].some(
-        ([one, { width, height }]) => !isInline(one) && Math.min(width, height) < SMALL_PX && !one.closest("label"),
+        ([one, { width, height }]) => !isInline(one) && Math.min(width, height) + around(one) < SMALL_PX && !one.closest("label"),
       );
       const buttons =
         element.parentElement === other.element.parentElement &&

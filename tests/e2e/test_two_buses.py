@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import GERMAN, OpensPages
 from tests.e2e.pages import PANEL, PHONE, opened
-from tests.e2e.site import AT_REST, Line, Site, eventually
+from tests.e2e.site import AT_REST, NO_TENSION_ALARM, Line, Site, eventually
 
 NOT_RATIOED = 0
 FOLLOWER = 1
@@ -20,7 +20,7 @@ FOLLOWER = 1
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
     """Three units on ``line``, two on ``wet``; unit 3 of ``line`` follows the first."""
-    return line_server(3, line_options=AT_REST, more={"wet": 2})
+    return line_server(3, line_options=AT_REST, more={"wet": 2}, toml=NO_TENSION_ALARM)
 
 
 @pytest.fixture
