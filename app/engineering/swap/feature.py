@@ -110,7 +110,7 @@ async def look_again(request: Request, person: Beginner, swaps: Swaps, swap: Swa
         text=step_text(now, swap),
         steps=STEPS,
         done=done_steps(now.step),
-        at=unix_now(),
+        at=swap.state.read_at if swap.state else None,
     )
 
 

@@ -6,6 +6,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal
 
+from bus.contract import UnitLink
+from bus.instants import UnixTime
 from bus.messages import Message, ParamValue
 
 FACTORY_ADDRESS = 1
@@ -25,6 +27,7 @@ class SwapState:
     ``at_target``: the finding at the section's address; ``at_factory``: at address 1. ``is_new``: the unit at
     the section's address is the spare, not the old unit that is still on the cable. ``equal``: the unit
     equals the set, by the last full read. ``remote`` and ``equal`` are None if they are not known yet.
+    ``read_at``: when the wire was read.
     """
 
     target: int
@@ -35,6 +38,12 @@ class SwapState:
     is_new: bool = True
     configured: frozenset[int] = frozenset()
     baud: int = FACTORY_BAUD
+    read_at: UnixTime = UnixTime(0.0)
+
+    def still_holds(self, link: UnitLink) -> bool:
+        """Return whether a unit that was found has not stopped responding since; ``link``: that to the
+        section's address."""
+        return self.at_target != "digimax" or link.link == "online" or link.at <= self.read_at
 
 
 @dataclass(frozen=True, slots=True)

@@ -270,7 +270,8 @@ class SwapService:
         return swap
 
     async def look(self, person: Person, swap: Swap) -> SwapState | None:
-        """Return the state of the wire; while a probe takes long, the previous state, None if there is none.
+        """Return the state of the wire; while a probe takes long, the previous state, None if there is none
+        or its unit has stopped responding since.
 
         Only one probe runs at a time: it takes gaps of the scan, and reloading a page must not add more.
         Raise the Problem that ended the probe.
@@ -283,7 +284,8 @@ class SwapService:
             swap.probe = None
             if swap.saw(running.result()) and self.find(swap.bus, swap.unit) is swap:
                 await self._store.save(swap)
-        if swap.state is None:
+        link = self._live.buses[swap.bus].units[swap.unit].link
+        if swap.state is None or not swap.state.still_holds(link):
             return None
         return replace(swap.state, is_new=swap.is_new, equal=swap.equal)
 
@@ -375,6 +377,7 @@ class SwapService:
             remote=None if status is None else status.remote,
             configured=frozenset(line.units),
             baud=line.baud,
+            read_at=unix_now(),
         )
 
     async def _probe(self, person: Person, bus: str, address: int) -> ProbeFinding:

@@ -23,7 +23,7 @@ from app.engineering.swap.rules import PROVEN, STEPS, ProbeFinding, SwapState, a
 from app.engineering.swap.service import MAX_PROBES, Swap, SwapService, SwapSource, SwapStore, step_text
 from app.errors import Problem
 from app.line.live.bus_live import LiveState
-from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
+from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink, UnitLinkState
 from bus.instants import UnixTime
 from bus.messages import Message, term
 from bus.settings import BusSettings
@@ -65,6 +65,16 @@ def test_the_old_unit_is_not_taken_for_the_spare() -> None:
     now = advice(state("digimax", remote=True, is_new=False))
     assert (now.step, now.confirms_spare) == ("find", True)
     assert now.text == Message.of("swap_old_or_new", target=5)
+
+
+@for_each("link, lost_at, holds", [("online", 9.0, True), ("stale", 4.0, True), ("offline", 6.0, False)])
+def test_a_unit_that_was_found_and_lost_since_is_not_shown(
+    link: UnitLinkState, lost_at: float, holds: bool
+) -> None:
+    """A silent address takes long to read again, and meanwhile the page would go on about the unit."""
+    found, now = state("digimax", read_at=UnixTime(5.0)), UnitLink(5, UnixTime(lost_at), link)
+    assert found.still_holds(now) == holds
+    assert state("silent").still_holds(now)
 
 
 def test_another_baud_than_that_of_the_box_is_named() -> None:
