@@ -77,6 +77,7 @@ interface Performance {
 /** Attributes of an element that was looked for by them. */
 interface DOMStringMap {
   live: string;
+  liveBit: string;
   liveIs: string;
   liveVar: string;
   liveTitle: string;

@@ -4,6 +4,7 @@
 //   data-live="dry-end/1.actual"          the text; with data-fresh in a node of its own each time, as what follows a
 //                                         name of any length has not moved where both are other words
 //   data-live-is="dry-end/1.state"        data-is, for CSS; "dry-end/1.inputs@2" takes one place of the text
+//   data-live-bit="dry-end/1.inputs@2"    data-on or data-off as text, by one place of the text
 //   data-live-var="fill=dry-end/1.fill …" custom properties of its style, here --fill; for bars
 //   data-live-title="dry-end/1.cause"     the text that a pointer at rest shows
 //   data-live-href="line_summary.at"        where a link leads; no link while the text is empty
@@ -60,6 +61,12 @@ function stateOf(element, place) {
     const state = place === undefined ? value : value.charAt(Number(place));
     if (element.dataset.is !== state) element.dataset.is = state;
   };
+}
+
+/** @param {HTMLElement} element @param {string} place @returns {Write} */
+function bitOf(element, place) {
+  const write = textOf(element);
+  return (value) => write({ 1: element.dataset.on, 0: element.dataset.off }[value.charAt(Number(place))] ?? UNKNOWN);
 }
 
 /** @param {HTMLElement} element @param {string} name @returns {Write} */
@@ -133,6 +140,10 @@ const KINDS = {
   "data-live-is": (element) => {
     const [key, place] = element.dataset.liveIs.split("@");
     add(key, stateOf(element, place));
+  },
+  "data-live-bit": (element) => {
+    const [key, place] = element.dataset.liveBit.split("@");
+    add(key, bitOf(element, place));
   },
   "data-live-var": (element) => {
     for (const pair of element.dataset.liveVar.split(" ")) {

@@ -24,6 +24,8 @@ export function start() {
     open();
   });
   document.addEventListener("keydown", choose);
+  // It would stand over the words that nothing is known, with states in it.
+  document.addEventListener("lineside:lost", () => dialog?.close());
   dialog?.addEventListener("click", (event) => {
     if (event.target === dialog) dialog.close();
   });

@@ -82,15 +82,27 @@ class Search:
         return words_of(self.typed)
 
 
+class LiveBit(NamedTuple):
+    """A bit that the page shows as it is at each moment: its ``unit``, its place in a live field, and the
+    words for 1 and 0."""
+
+    unit: str
+    field: str
+    on: str
+    off: str
+
+
 class FoundPlace(NamedTuple):
     """A thing that was found. ``label`` names it, ``detail`` states what or where it is; ``rank``: 0 is the
-    best. ``is_name``: whether a person wrote the label, in any script."""
+    best. ``is_name``: whether a person wrote the label, in any script. ``bit``: what ``detail`` states, for
+    as long as the result is in sight."""
 
     label: Text
     href: str
     detail: Text = ""
     rank: int = 0
     is_name: bool = False
+    bit: LiveBit | None = None
 
 
 Finder = Callable[[Search], Awaitable[Iterable[FoundPlace]]]

@@ -28,7 +28,7 @@ from app.line.live.bus_live import LiveState
 from app.line.live.requests import unit_or_404
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
-from bus.contract import ScanBus
+from bus.contract import ScanBus, UnitLink
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message, joined, listed, parameter_name
 
@@ -284,15 +284,20 @@ class SwapService:
             swap.probe = None
             if swap.saw(running.result()) and self.find(swap.bus, swap.unit) is swap:
                 await self._store.save(swap)
-        link = self._live.buses[swap.bus].units[swap.unit].link
-        if swap.state is None or not swap.state.still_holds(link):
+        if swap.state is None or not swap.state.still_holds(self._link(swap)):
             return None
         return replace(swap.state, is_new=swap.is_new, equal=swap.equal)
 
+    def _link(self, swap: Swap) -> UnitLink:
+        return self._live.buses[swap.bus].units[swap.unit].link
+
     async def confirm_spare(self, person: Person, swap: Swap) -> None:
-        """Note that a person confirmed the unit at the section's address as the spare."""
+        """Note that a person confirmed the unit at the section's address as the spare. Raise Problem 409 if
+        it has stopped responding since it was found."""
         CONFIRM_SPARE.check(person)
         self._refuse_closed(swap)
+        if swap.state is not None and not swap.state.still_holds(self._link(swap)):
+            raise Problem(409, "not_in_state", Message.of("swap_found_lost", target=swap.unit))
         swap.is_new = True
         swap.seen.append(Message(CONFIRM_SPARE.event))
         await self._store.save(swap)

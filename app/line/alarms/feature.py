@@ -256,7 +256,9 @@ async def _find(alarms: LineAlarms, search: Search) -> Iterable[FoundPlace]:
         place = alarms.place(definition.bus, definition.unit)
         name, state = t(definition.name), t(alarm.state_text)
         label = f"{place} · {name}" if place else name
-        found += matched(search, FoundPlace(label, f"/alarms/{alarm.id}", state), name, place, state)
+        # It does not change while it is in sight.
+        shown = f"{state} · {search.formats.clock(unix_now())}"
+        found += matched(search, FoundPlace(label, f"/alarms/{alarm.id}", shown), name, place, state)
     return found
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from functools import partial
 
 from app.core.database.files import Reserve
-from app.core.find.finders import Finders, FoundPlace, Search, matched, missing
+from app.core.find.finders import Finders, FoundPlace, LiveBit, Search, matched, missing
 from app.core.messages import DEFAULT
 from app.core.web.formats import UNKNOWN
 from app.core.web.services import Registry
@@ -68,7 +68,8 @@ async def find_wiring(live: LiveState, search: Search) -> Iterable[FoundPlace]:
             if len(missing(words, names)) < len(words):
                 shown = FoundPlace(f"{name} · {names[0]}", href, is_name=True)
                 for best in matched(search, shown, *names, unit.settings.name, str(unit.settings.id)):
-                    found.append(best._replace(detail=_state(search, bus, unit, place)))
+                    bit = _bit_of(search, href, place)
+                    found.append(best._replace(detail=_state(bus, unit, place, bit), bit=bit))
     return found
 
 
@@ -78,15 +79,21 @@ def _units(live: LiveState) -> Iterator[tuple[BusLive, UnitLive, str]]:
             yield bus, unit, f"/units/{unit_key(bus.settings.name, unit.settings.id)}"
 
 
-def _state(search: Search, bus: BusLive, unit: UnitLive, place: str | int) -> str:
-    """Return the word for the state of an input (by name) or of an output (by number)."""
+def _bit_of(search: Search, href: str, place: str | int) -> LiveBit:
+    """Return the live bit of an input (by name) or of an output (by number)."""
+    field = f"outputs@{place - 1}" if isinstance(place, int) else f"inputs@{list(INPUTS).index(place)}"
+    words = ("input_active", "input_healthy") if place == "estop" else ("input_on", "input_off")
+    return LiveBit(href.removeprefix("/units/"), field, *(search.language.t(Message(word)) for word in words))
+
+
+def _state(bus: BusLive, unit: UnitLive, place: str | int, bit: LiveBit) -> str:
+    """Return the word for the state of an input or output now."""
     if unit.reading is None or unit_link_now(bus, unit, unix_now()) != "online":
         return UNKNOWN
     bits = bits_of(bus, unit.reading)
     inputs = dict(zip(INPUTS, bits.inputs.values(), strict=True))
     is_on = bits.outputs[place - 1] if isinstance(place, int) else inputs[place]
-    words = ("input_active", "input_healthy") if place == "estop" else ("input_on", "input_off")
-    return search.language.t(Message(words[not is_on]))
+    return bit.on if is_on else bit.off
 
 
 def make(services: Services) -> None:

@@ -98,12 +98,12 @@ async def test_help_actions_and_the_state_of_an_input_are_found(tmp_path: Path) 
         assert "data-theme-toggle" in await found(client, "theme")
         assert 'href="/system"' in await found(client, "backup")
         never = await found(client, "nip run input")
-        assert re.search(rf"Nip · Run input</span>\s*<small[^>]*>{UNKNOWN}<", never)
+        assert re.search(rf"Nip · Run input</span>\s*<small><span[^>]*>{UNKNOWN}<", never)
         now = unix_now()
         live.apply([BusLink(at=now, link="open"), UnitLink(unit=2, at=now, link="online")])
         live.apply([Reading(2, now, 1000, 1000, 0, 0xC0, 0x03)])
         shown = await found(client, "nip run input")
-        assert re.search(r"Nip · Run input</span>\s*<small[^>]*>(on|off)<", shown)
+        assert re.search(r"Nip · Run input</span>\s*<small><span[^>]*>(on|off)<", shown)
         assert "Run input" not in await found(client, "nip"), "a name alone is that of the unit"
         assert ">8 more<" in await found(client, "input"), "of seven of each of two units"
 
