@@ -257,7 +257,11 @@ class LineLoop:
         now = self.clock.now()
         self._port_closed(cause)
         if now - self._closed_at > CLOSED_TO_OFFLINE_S:
-            self._events += self.roster.port_closed(self.clock.epoch(now), cause, long=True)
+            lost = self.roster.port_closed(self.clock.epoch(now), cause, long=True)
+            for link in lost:
+                # While nobody looked it may have been set up anew, or replaced.
+                self.schedule.parameters.need(link.unit)
+            self._events += lost
         self._report()
 
     def note_port(self, remark: Message, *, about: str, lasts_s: float) -> None:

@@ -14,6 +14,7 @@ from bus.contract import (
     Action,
     BusLink,
     ChangeBaud,
+    ParameterValue,
     Progress,
     Reading,
     ReadParameters,
@@ -249,6 +250,21 @@ async def test_a_line_that_is_switched_on_again_is_found_within_three_seconds_ho
     await asyncio.sleep(60)
     line.faults.clear()
     await line.until(lambda: all(unit_links(line, unit)[-1] == "online" for unit in line.units), 3.0)
+
+
+@played(8)
+async def test_after_a_cable_was_out_the_scale_of_each_unit_is_read_again_at_once(line: VirtualLine) -> None:
+    await settled(line)
+    line.unplug()
+    await asyncio.sleep(20)
+    line.plug()
+    plugged = len(line.updates)
+
+    def read_again() -> set[int]:
+        found = (each for each in line.updates[plugged:] if isinstance(each, ParameterValue))
+        return {each.unit for each in found if each.number == numbers.DECIMALS}
+
+    await line.until(lambda: len(read_again()) == 8, 3.0)
 
 
 @played(3)

@@ -135,6 +135,7 @@ class AlarmList:
 
     def apply(self, alarm: Alarm, changed: Changed, who: str = "", reason: str = "") -> None:
         """Change an alarm as the rules found; ``who``: the person who acted."""
+        was_unknown = alarm.facts.unknown_since is not None
         alarm.facts, transitions = changed
         self._schedule(alarm)
         for each in transitions:
@@ -147,6 +148,8 @@ class AlarmList:
                     self._mark_first_out(alarm, each.at)
         if transitions:
             self._has_changed(alarm)
+        elif alarm.facts.active and was_unknown != (alarm.facts.unknown_since is not None):
+            self._publish(alarm)
 
     def _mark_first_out(self, alarm: Alarm, at: UnixTime) -> None:
         first = self.alarms.get(self._first_out.rise(alarm.definition.key, at) or "")
@@ -165,6 +168,9 @@ class AlarmList:
     def _has_changed(self, alarm: Alarm) -> None:
         self._changed[alarm.definition.key] = alarm
         self._wake.set()
+        self._publish(alarm)
+
+    def _publish(self, alarm: Alarm) -> None:
         for subscriber in self._subscribers:
             subscriber(alarm)
 

@@ -499,6 +499,16 @@ async def test_an_unknown_condition_is_not_shown_as_active(house: House) -> None
     assert banner.banner(translator())["active"] == "1 active, 1 unknown"
 
 
+async def test_pages_learn_when_it_is_not_known_any_more_and_when_it_is_again(house: House) -> None:
+    estop(house.services, active=True)
+    alarms = house.services[LineAlarms].buses[BUS].list
+    published: list[bool] = []
+    alarms.subscribe(lambda changed: published.append(changed.facts.unknown_since is not None))
+    for holds in (None, True):
+        alarms.observe(alarms.alarms[ESTOP], holds, unix_now())
+    assert published == [True, False]
+
+
 async def test_the_figures_are_a_page_and_data_and_a_file(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     estop(house.services, active=True)
