@@ -29,8 +29,8 @@ function opened(place) {
   content = place;
   if (!content.firstElementChild) return;
   if (!content.querySelector("[data-review-cancel]")) content.append(closer());
-  // How a former one ended is no word about this one.
-  for (const words of document.querySelectorAll("[role=status] > [data-review-end]")) words.remove();
+  // How a former one ended is no word about this one; what was added to the tray may be sent by it.
+  for (const words of document.querySelectorAll("[role=status] > :is([data-review-end], [data-added])")) words.remove();
   show();
   const form = content.querySelector("[data-review]");
   if (form) watch(form);

@@ -198,6 +198,11 @@ class UndoOffer:
     text: Message
     until: UnixTime
 
+    @property
+    def sets_speed(self) -> bool:
+        """Whether it sets what the field beside it shows."""
+        return isinstance(self.action, SetSpeed | SetLine)
+
 
 @dataclass(eq=False, slots=True)
 class _Write:

@@ -347,15 +347,16 @@ def _faults_by_field(
 
 
 def _typed(request: Request, place: TablePlace, form: FormData) -> dict[str, str]:
-    """Return the typed values by key. A field with several choices has each chosen one; a number may have the
-    decimal comma of the reader."""
+    """Return the typed values by key. A field with several choices has each chosen one, a band its limits; a
+    number may have the decimal comma of the reader."""
     templates = templates_of(request)
     formats: Formats = templates.formats(templates.language_of(request).tag)
     texts = {}
     for field in place.form.fields:
-        given = [value for value in form.getlist(field.key) if isinstance(value, str)]
-        text = ", ".join(given).strip()
-        texts[field.key] = formats.typed_number(text) if field.kind == "number" else text
+        given = [value.strip() for value in form.getlist(field.key) if isinstance(value, str)]
+        if field.kind in ("number", "band"):
+            given = [formats.typed_number(value) for value in given]
+        texts[field.key] = ", ".join(given) if any(given) else ""
     return texts
 
 

@@ -24,7 +24,7 @@ from app.system.configuration.document import TomlValue, at
 from bus.configuration import KeyPath
 from bus.messages import Message
 
-FieldKind = Literal["text", "number", "flag", "choice", "choices", "texts", "numbers", "day"]
+FieldKind = Literal["text", "number", "flag", "choice", "choices", "texts", "band", "day"]
 TableKind = Literal[
     "unit", "alarm", "built_in_alarm", "notify", "smtp", "group", "duty", "rule", "maintenance"
 ]
@@ -70,7 +70,7 @@ _INPUTS = ("run", "estop", "preset", "reverse", "up", "down", "slave")
 _UNIT = (
     SettingField("name"),
     SettingField("group"),
-    SettingField("draw_percent", "numbers"),
+    SettingField("draw_percent", "band"),
     *(SettingField(f"labels.{key}") for key in ("unit", "analog", "analog_unit")),
     *(SettingField(f"labels.output.{number}") for number in range(1, 7)),
     *(SettingField(f"labels.input.{name}") for name in _INPUTS),
@@ -256,9 +256,10 @@ def _value(field: SettingField, text: str) -> TomlValue | None:
         case "day":
             with suppress(ValueError):
                 return date.fromisoformat(text)
-        case "choices" | "texts" | "numbers":
-            items = [item for item in re.split(r"[,;\s]+", text, maxsplit=MAX_LISTED) if item]
-            return [_number(item) for item in items] if field.kind == "numbers" else items
+        case "band":
+            return [_number(item) for item in text.split(", ") if item]
+        case "choices" | "texts":
+            return [item for item in re.split(r"[,;\s]+", text, maxsplit=MAX_LISTED) if item]
     return text
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html import unescape
 from pathlib import Path
 
@@ -68,6 +69,19 @@ async def test_a_fault_is_at_its_field_and_what_was_typed_stays(
     assert "at most 60 characters" in field[:800]
     assert 'value="Calender"' in page.text
     assert file.text == TEXT
+
+
+async def test_the_limits_of_a_draw_have_a_field_each_with_the_comma_of_the_reader(
+    engineer: httpx.AsyncClient,
+) -> None:
+    path, german = "/configuration/tables/bus.0.unit.1", {"Accept-Language": "de"}
+    typed = await form_of(engineer, path)
+    both = {**typed, "draw_percent": ["-1,5", "2,5"]}
+    review = unescape((await engineer.post(path, data=both, headers=german)).text)
+    assert "<ins>draw_percent = [-1.5, 2.5]</ins>" in review
+    one = await engineer.post(path, data={**typed, "draw_percent": ["-1,5", ""]}, headers=german)
+    shown = re.findall(r'name="draw_percent"[^>]*value="([^"]*)"', one.text)
+    assert (one.status_code, shown) == (422, ["-1,5", ""])
 
 
 async def test_a_table_is_changed_in_the_drawer_of_the_list(house: House, file: PlantFile) -> None:
