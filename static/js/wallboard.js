@@ -39,8 +39,11 @@ function show(line) {
 
 function turn() {
   if (performance.now() - turnedAt < TURN_MS) return;
-  const shown = lines.findIndex((line) => !line.hidden);
-  show(lines[(shown + 1) % lines.length]);
+  // Whoever looks up for a moment must not read that all is well.
+  const urgent = lines.filter((line) => fieldsOf(line.dataset.line ?? "")?.level === "urgent");
+  const turning = urgent.length ? urgent : lines;
+  const shown = turning.findIndex((line) => !line.hidden);
+  show(/** @type {HTMLElement} */ (turning[(shown + 1) % turning.length]));
 }
 
 /** @param {HTMLElement} line */

@@ -177,7 +177,7 @@ def change_of(
     """Describe setting ``new_raw``. ``block``: why commands to the unit are blocked, if they are;
     ``typed_with``: the scale of the setpoint, which the unit may not have any more."""
     old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)
-    ramp = ramp_of(unit, old_raw, new_raw)
+    ramp = ramp_of(unit, _before_ramp(bus, unit, old_raw), new_raw)
     return SetpointChange(
         unit=unit.settings.id,
         name=unit.settings.name,
@@ -193,6 +193,13 @@ def change_of(
         obstacle=obstacle_of(bus, unit, now, block=block),
         risks=risks_of(bus, unit, now, ramp, new_raw),
     )
+
+
+def _before_ramp(bus: BusLive, unit: UnitLive, setpoint: int | None) -> int | None:
+    """Return the raw setpoint from which the next ramp starts: a unit that is held in emergency stop, or has
+    no run signal, starts from standstill once that is over."""
+    bits = None if unit.reading is None else bits_of(bus, unit.reading)
+    return 0 if bits is not None and (bits.estop_active or not bits.run) else setpoint
 
 
 @dataclass(slots=True)

@@ -255,6 +255,12 @@ def test_a_change_has_its_start_target_and_duration() -> None:
     assert (up.obstacle, up.risks) == (None, ())
 
 
+def test_a_unit_that_is_held_starts_its_next_ramp_from_standstill() -> None:
+    bus = after(reading(1, inputs=0x02)).buses["dry"]
+    change = change_of(bus, bus.units[1], 1600, FREE, NOW)
+    assert (str(change.old), change.ramp) == ("120.0", Ramp(6, 100, 8.0))
+
+
 def test_a_ramp_that_is_not_known_is_not_guessed() -> None:
     live = line()
     live.buses["dry"].apply([ParameterValue(unit=1, number=6, at=1, raw=None, available=False)])

@@ -86,7 +86,8 @@ async def test_without_a_risk_there_is_no_remark(house: House) -> None:
 @for_each("way", ["single", "group", "recipe", "zero"])
 async def test_a_unit_at_risk_is_named_by_every_review(house: House, way: str) -> None:
     report(house, 1, inputs=0)
-    report_parameter(house, 1, 7, 0)
+    for ramp in (6, 7):
+        report_parameter(house, 1, ramp, 0)
     match way:
         case "single":
             response = await single(house, "50.0")
