@@ -151,8 +151,9 @@ def _not_driven(reading: Reading, gave_up: bool) -> MotionState:
     return "turning" if gave_up else "stopping"
 
 
-UNSEEN_S = 60.0
-"""A condition before and after a gap of at most this many seconds, such as a restart, is uninterrupted."""
+UNSEEN_S = 3600.0
+"""A condition before and after a gap of at most this many seconds, such as a restart or a cable that is out,
+is uninterrupted: nobody saw it end, and its alarm, which nobody saw clear, keeps its time."""
 _NOTHING: frozenset[str] = frozenset()
 
 

@@ -158,7 +158,7 @@ def test_a_change_within_a_gap_has_no_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("back_at", "onset"), [(70.2, Onset(10.2)), (70.3, Onset(70.3, exact=False))], ids=["short", "long"]
+    ("back_at", "onset"), [(3610.2, Onset(10.2)), (3610.3, Onset(3610.3, exact=False))], ids=["short", "long"]
 )
 def test_a_state_equal_before_and_after_a_short_gap_went_on(back_at: float, onset: Onset) -> None:
     found = after((10.0, set()), (10.2, {"run_off"}), (back_at, {"run_off"}))
@@ -176,9 +176,9 @@ def test_nothing_that_ended_in_a_long_gap_is_left() -> None:
         ([(0, 50, ON), (50.2, 60, OFF), (60.2, 100, OFF)], Onset(50.2), True),
         ([(0, 50, OFF), (50.2, 60, ON), (60.2, 100, OFF)], Onset(60.2), True),
         ([(0, 50, ON), (90, 100, OFF)], Onset(90, exact=False), True),
-        ([(0, 20, OFF), (90, 100, OFF)], Onset(90, exact=False), True),
+        ([(-9000, -3600, OFF), (90, 100, OFF)], Onset(90, exact=False), True),
         ([(0, 50, ON), (50.2, 80, OFF)], Onset(50.2), True),
-        ([(0, 30, OFF)], Onset(100, exact=False), True),
+        ([(-9000, -3600, OFF)], Onset(100, exact=False), True),
         ([(50, 100, OFF)], Onset(50, exact=False), False),
         ([], Onset(100, exact=False), False),
         ([(50.2, 100, OFF), (100, 130, OFF), (130, 140, ON)], Onset(50.2, exact=False), False),
