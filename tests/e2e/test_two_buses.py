@@ -108,8 +108,9 @@ def go_to_zero(page: Page, units: int) -> None:
 def test_zero_covers_both_with_a_result_for_each(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/trends")
     go_to_zero(page, 5)
-    done = page.locator("[data-review-done=good]")
+    done = page.locator("#tray-result [data-review-done=good]")
     expect(done).to_contain_text("5 units accepted speed 0")
+    expect(page.locator("dialog[open]")).to_have_count(0)
     expect(done.locator("tbody th").filter(has_text="line ·")).to_have_count(3)
     expect(done.locator("tbody th").filter(has_text="wet ·")).to_have_count(2)
     assert {state(site.line, unit)["setpoint"] for unit in (1, 2, 3)} == {0}

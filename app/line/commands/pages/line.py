@@ -264,14 +264,15 @@ def _plan(page: BusPage) -> ZeroPlan:
 async def set_zero(page: Page, confirmed: Confirmed) -> Response:
     """Set the speed of every reachable unit to 0, all at once if all acknowledge, else one by one. A refusal
     by one bus or one unit does not affect the others."""
-    title = page.translator.t(ZERO_TITLE)
     try:
         confirmed.refuse_lapsed()
     except Problem as problem:
-        return page.refused(problem, title)
+        response = page.refused(problem, page.translator.t(ZERO_TITLE))
+        response.headers["HX-Retarget"] = "#review-body"
+        return response
     by_bus = await asyncio.gather(*(_zero_bus(bus, f"{confirmed.id}-{bus.name}") for bus in page.buses()))
     proofs = [proof for bus in by_bus for proof in bus]
-    return page.render("line/_zero_done.html", title=title, proofs=proofs, outcome=_in_all(proofs))
+    return page.render("setpoints/_done.html", proofs=proofs, outcome=_in_all(proofs), undo=None, skew=None)
 
 
 async def _zero_bus(page: BusPage, id: str) -> list[ResultRow]:
