@@ -174,9 +174,11 @@ def bus_fields(bus: BusLive, translator: Translator, now: UnixTime) -> Fields:
     """Return the figures of one bus, and how long the readings of its units count as fresh."""
     scan_s = scan_s_of(bus)
     cause = translator.t(bus.link.cause) if bus.link.cause is not None and bus.link.link == "closed" else ""
+    # Without its worker the port counts as closed, and nobody knows whether it is.
+    port = bus.link.link if bus.worker_connected else "unknown"
     fields = {
-        "link": bus.link.link,
-        "link_text": translator.t(bus.link.link),
+        "link": port,
+        "link_text": translator.t(port),
         "baud": f"{bus.baud}",
         "carries": translator.t(Message.of("wire_capacity", baud=bus.baud)),
         "cause": cause,
