@@ -91,7 +91,7 @@ def responding(outcome: str, **more: Any) -> Play:
 
 async def until(condition: Callable[[], object], what: str) -> None:
     """Wait for a condition; fail with ``what`` after a generous time."""
-    end = time.monotonic() + 60
+    end = time.monotonic() + 180
     while not condition():
         assert time.monotonic() < end, f"never: {what}"
         await asyncio.sleep(0.002)

@@ -21,7 +21,7 @@ from app.core.server.refusal_log import RefusalLog
 from app.core.server.tls import ChooseContext
 from bus.instants import monotonic_now
 
-PATIENCE_S = 30.0
+PATIENCE_S = 90.0
 Ends = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 

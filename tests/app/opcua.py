@@ -104,7 +104,7 @@ class OpcuaServer:
         file.write_bytes(client.certificate.public_bytes(Encoding.DER))
         return file
 
-    async def until(self, holds: Callable[[Status], object], within_s: float = 60.0) -> None:
+    async def until(self, holds: Callable[[Status], object], within_s: float = 180.0) -> None:
         """Wait until the process reports a status that ``holds``."""
         end = time.monotonic() + within_s
         while not holds(self.status):
@@ -129,7 +129,7 @@ class OpcuaServer:
         finally:
             self._process.stdin.close()  # type: ignore[union-attr]
             with suppress(ProcessLookupError):
-                await asyncio.wait_for(self._process.wait(), 20)
+                await asyncio.wait_for(self._process.wait(), 180)
             self._listening.cancel()
 
     async def _listen(self, process: Process) -> None:

@@ -406,16 +406,17 @@ class CommandService:
 
         try:
             with _later(RECHECK_S, watch):
-                result = await self._staged_or_sent(command)
+                if command.action.stages:
+                    result = await self._stage(command)
+                else:
+                    result = await self._channel.send(command)
         finally:
             self._scans.pop(request.id, None)
         return replace(result, message=joined((*reasons, result.message))) if reasons else result
 
-    async def _staged_or_sent(self, command: Command) -> Result:
-        """Send a command to the worker; one that stages speeds once its units are on disk."""
+    async def _stage(self, command: Command) -> Result:
+        """Send a command that stages speeds to the worker, once its units are on disk."""
         units = command.action.stages
-        if not units:
-            return await self._channel.send(command)
         try:
             async with self._held.staging(units):
                 result = await self._channel.send(command)
