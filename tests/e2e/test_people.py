@@ -22,7 +22,7 @@ from tests.sizes import sizes
 def site(line_server: Callable[..., Site]) -> Site:
     """Three units, of which one person at a time holds control."""
     toml = "[site]\ncontrol = true\n" + NO_TENSION_ALARM
-    return line_server(3, line_options=(*AT_REST, "--speedup", "3"), toml=toml)
+    return line_server(3, line_options=AT_REST, toml=toml)
 
 
 @pytest.fixture
