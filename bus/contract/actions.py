@@ -103,7 +103,7 @@ class BusAction(TaggedStruct, frozen=True):
 
     @property
     def stages(self) -> tuple[int, ...]:
-        """The units in which the action stages a speed (82h)."""
+        """Return the addresses of the units in which the action stages a speed (82h)."""
         return ()
 
 

@@ -41,8 +41,8 @@ class SwapState:
     read_at: UnixTime = UnixTime(0.0)
 
     def still_holds(self, link: UnitLink) -> bool:
-        """Return whether a unit that was found has not stopped responding since; ``link``: that to the
-        section's address."""
+        """Return whether this state is still up to date: False once a unit that was found has stopped
+        responding. ``link``: the link to the section's address."""
         return self.at_target != "digimax" or link.link == "online" or link.at <= self.read_at
 
 

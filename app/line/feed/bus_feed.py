@@ -298,7 +298,7 @@ class HeldSpeeds:
 
     @property
     def units(self) -> list[int]:
-        """The addresses of the units that may hold one, as far as the app knows."""
+        """Return the addresses of the units that may hold a staged speed, as far as the app knows."""
         return sorted({*held_units(self._live), *+self._under_way})
 
     @asynccontextmanager

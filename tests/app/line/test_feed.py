@@ -124,6 +124,16 @@ async def test_a_batch_before_the_snapshot_ends_it(site: House) -> None:
     assert site.live.units[1].reading is None
 
 
+async def take_over(site: House, held: list[int]) -> None:
+    """Connect a new worker, which is told what units may hold a staged speed, and report for it."""
+    second = await site.connect()
+    await second.send(hello("w2"))
+    welcome = await second.receive(Welcome)
+    assert isinstance(welcome, Welcome)
+    assert welcome.held == held
+    await second.send(snapshot())
+
+
 async def test_what_units_may_hold_staged_outlives_worker_and_server(site: House) -> None:
     worker, live, database = await site.worker(), site.live, site.services[Database]
     kept = "SELECT unit FROM held_speed"
@@ -139,12 +149,7 @@ async def test_what_units_may_hold_staged_outlives_worker_and_server(site: House
     assert held_units(restarted) == [1, 2]
     assert restarted.units[1].staged_unknown
     await worker.leave(GOING_AWAY)
-    second = await site.connect()
-    await second.send(hello("w2"))
-    welcome = await second.receive(Welcome)
-    assert isinstance(welcome, Welcome)
-    assert welcome.held == [1, 2]
-    await second.send(snapshot())
+    await take_over(site, held=[1, 2])
     await until(lambda: stored() == [], "both units removed, as this worker knows what they hold")
 
 
@@ -158,12 +163,7 @@ async def test_a_unit_may_hold_what_was_staged_and_never_reported(site: House, c
     await HeldSpeeds(server_ends_now, database).load()
     assert server_ends_now.units[1].staged_unknown
     await worker.leave(GOING_AWAY)
-    second = await site.connect()
-    await second.send(hello("w2"))
-    welcome = await second.receive(Welcome)
-    assert isinstance(welcome, Welcome)
-    assert welcome.held == [1]
-    await second.send(snapshot())
+    await take_over(site, held=[1])
     assert (await sending).outcome == "unverified"
     assert site.live.units[1].staged_unknown
 
