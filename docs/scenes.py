@@ -116,8 +116,12 @@ def _restored(page: Page) -> None:
     page.wait_for_selector("h2:has-text('Proof'), h2:has-text('Nachweis')", timeout=60_000)
 
 
+GOLDEN_REVIEW = press_all("[hx-get^='/sets/golden']", shows="[data-review-act]")
+
+
 def _taking(page: Page) -> None:
-    page.locator("form[action='/sets/take'] [type=submit]").first.click()
+    GOLDEN_REVIEW(page)
+    page.locator("[data-review-act]").click()
     page.wait_for_selector("#taking")
 
 
@@ -181,6 +185,7 @@ PAGES = (
     Scene("bus-baud", "/bus/line", _baud),
     Scene("sets", "/sets", whole=True),
     Scene("set", "/sets/1", whole=True),
+    Scene("set-golden", "/sets", GOLDEN_REVIEW),
     Scene("set-taking", "/sets", _taking),
     Scene("compare", "/sets/compare?left=set:1:3&right=live:line:3", whole=True),
     Scene("compare-all", "/sets/compare?left=set:1:3&right=live:line:3&everything=true"),
@@ -227,6 +232,7 @@ ABNORMAL = (
     Scene("setpoints", "/setpoints", whole=True),
     Scene("zero", "/", press_all(".zero", shows="[data-review-act]")),
     Scene("recipe", "/recipes/1", whole=True),
+    Scene("set-golden", "/sets", GOLDEN_REVIEW),
 )
 
 

@@ -190,11 +190,13 @@ def test_one_parameter_over_many_units(site: Site, shared_page: OpensPages) -> N
 
 
 @pytest.mark.soak
-def test_golden_sets_of_the_line_are_saved_by_one_press(site: Site, shared_page: OpensPages) -> None:
+def test_golden_sets_of_the_line_are_saved_after_a_review(site: Site, shared_page: OpensPages) -> None:
     assert site.units == 3
     page = shared_page("engineer", viewport=PHONE)
     page.goto("/sets")
-    page.get_by_role("button", name="Save golden sets of 3 units").click()
+    page.get_by_role("button", name="Save golden sets of 3 units…").click()
+    expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+    page.get_by_role("button", name="Save golden sets of 3 units", exact=True).click()
     rows = page.get_by_role("table").locator("tbody tr")
     expect(rows).to_have_count(3)
     expect(rows.filter(has_text="golden set")).to_have_count(3, timeout=PROCEDURE_MS)

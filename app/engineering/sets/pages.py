@@ -13,6 +13,7 @@ from fastapi import APIRouter, Form, Query, Request, Response
 from starlette.responses import RedirectResponse
 
 from app.core.web.access import Person, Viewer
+from app.core.web.problems import is_fragment
 from app.core.web.routes import GuardedRoute
 from app.core.web.services import bus_service_of, service
 from app.core.web.shape import UnitAddresses
@@ -38,9 +39,12 @@ from app.engineering.sets.saving import MARK_GOLDEN, SAVE, SCHEDULE, SetKeeper, 
 from app.engineering.sets.store import SetStore
 from app.errors import Problem, or_404
 from app.line.commands.effects import OPERATING_VALUES
+from app.line.commands.page_context import PageContext
+from app.line.commands.review import by_remark
 from app.line.live.api.routes import Live
-from app.line.live.bus_live import LiveState
-from app.line.live.diagnosis import no_response_text
+from app.line.live.bus_live import LiveState, unit_link_now
+from app.line.live.diagnosis import no_response_text, unit_cause
+from app.line.live.fields import STATE_WORDS, cause_texts, joined
 from app.line.live.requests import bus_or_404, unit_or_404
 from bus.catalogue.parameters import PARAMETERS
 from bus.instants import unix_now
@@ -133,7 +137,38 @@ async def begin_reading(
         unit_or_404(live, bus, number)
     keeper = bus_service_of(request, bus, SetKeeper)
     taking = readings.begin(person, keeper, units, name, comment, golden=golden)
-    return RedirectResponse(f"/sets/taking/{taking.id}", 303)
+    path = f"/sets/taking/{taking.id}"
+    return Response(headers={"HX-Redirect": path}) if is_fragment(request) else RedirectResponse(path, 303)
+
+
+@router.get("/sets/golden")
+async def review_golden(
+    request: Request, _: Annotated[Person, MARK_GOLDEN.permitted], sets: Sets, live: Live, bus: str
+) -> Response:
+    """Show before golden sets of a bus are saved which units are read, what each set replaces, which units do
+    not run at speed, and which are left out."""
+    of_bus, now, translator = bus_or_404(live, bus), unix_now(), PageContext(request).translator
+    units, doubts, left_out = [], [], []
+    for unit in of_bus.units.values():
+        cause, name = unit_cause(of_bus, unit, now), unit.settings.name
+        why = cause_texts(cause, translator, now).line if cause else ""
+        if unit_link_now(of_bus, unit, now) in ("unknown", "offline"):
+            left_out.append((name, Message.of("golden_not_read", why=why)))
+            continue
+        units.append(unit)
+        if unit.motion.state != "at_speed":
+            state = why or joined(translator.t(STATE_WORDS[unit.motion.state]))
+            doubts.append((name, Message.of("golden_not_at_speed", state=state)))
+    return render(
+        request,
+        "sets/_golden_review.html",
+        bus=bus,
+        units=units,
+        doubts=by_remark(doubts),
+        left_out=by_remark(left_out),
+        marked={unit: one for one in await sets.summaries(bus) for unit in one.golden_for},
+        drift=bus_service_of(request, bus, BusDrift),
+    )
 
 
 @router.get("/sets/taking/{taking_id}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -19,7 +20,7 @@ from app.engineering.sets.restore_plan import Restore, Selection, Write
 from app.engineering.sets.restore_service import RestoreService, RestoreStore
 from app.engineering.sets.saving import ParameterReader
 from app.errors import Problem
-from bus.contract import Result, WriteParameter
+from bus.contract import Result, UnitLink, WriteParameter
 from bus.instants import UnixTime
 from bus.messages import Message
 from tests.app.complete_app import House
@@ -496,3 +497,22 @@ async def test_a_list_of_sets_links_to_its_next_page(client: httpx.AsyncClient) 
     assert [len(page) for page in pages] == [2, 1]
     found = [number for page in pages for number in page]
     assert found == sorted(set(found), reverse=True)
+
+
+@pytest.mark.usefixtures("golden")
+async def test_golden_sets_of_a_line_are_reviewed_before_any_unit_is_read(
+    client: httpx.AsyncClient, house: House
+) -> None:
+    await client.get(f"/api/v1/buses/{BUS}/units/2/parameters", params={"refresh": "true"})
+    house.live.apply([UnitLink(unit=1, at=time.time(), link="offline")])
+    stored = (await client.get("/api/v1/sets")).json()
+    review = (await client.get("/sets/golden", params={"bus": BUS})).text
+    assert re.findall(r'name="unit" value="(\d+)"', review) == ["2"]
+    assert "Save golden set of 1 unit" in review
+    assert 'data-remark="golden_not_read"' in review
+    assert 'data-remark="golden_not_at_speed"' in review
+    assert "<b>3 values</b>" in review
+    assert (await client.get("/api/v1/sets")).json() == stored
+    confirmed = {"bus": BUS, "golden": "true", "unit": ["2"]}
+    saved = await client.post("/sets/take", data=confirmed, headers={"HX-Request": "true"})
+    assert saved.headers["HX-Redirect"].startswith("/sets/taking/")
