@@ -34,7 +34,8 @@ interface Curve extends Result {
 }
 
 /** What the trends page shows: the view, what was fetched for it, where nothing was read, and where the cursor is. `chosen`: the
- * series whose scale has its axis shown, `dimmed`: those whose lines are, `more`: of which lists there is more. */
+ * series whose scale has its axis shown, `dimmed`: those whose lines are, `more`: of which lists there is more, `silent`: how old
+ * the last reading is of each series whose unit is silent now. */
 interface Trends {
   words: TrendWords;
   catalogue: import("../static/js/trends-view.js").Catalogue;
@@ -51,6 +52,7 @@ interface Trends {
   notes: Note[];
   more: Set<string>;
   unknown: Span[];
+  silent: Map<string, string>;
 }
 
 /** What a unit is called, or a bus. */

@@ -47,6 +47,10 @@ function ageOf(unit) {
   return qualityOf(unit) === "online" ? age : word("lastResponse", age);
 }
 
+/** How long ago a unit responded last that is not live now, in words; "" of one that is, or that never did.
+ * @param {string} unit */
+export const silenceOf = (unit) => (fieldsOf(unit)?.at && qualityOf(unit) !== "online" ? ageOf(unit) : "");
+
 function check() {
   if (document.body.dataset.link !== "live") return;
   for (const one of units) {

@@ -141,12 +141,12 @@ function lanes(trends, beside) {
 }
 
 /** The names of curves right of the chart, each tied to the height at which its curve ends by a hair, which is no part of the
- * curve, and quiet without one where the curve ends before; and those of bits left of their lanes.
+ * curve, and quiet without one where the curve ends before or its unit is silent; and those of bits left of their lanes.
  * @param {uPlot} plot @param {Trends} trends @param {(curve: Curve) => string} scaleOf @param {number} room */
-function names(plot, { curves, range, dimmed }, scaleOf, room) {
+function names(plot, { curves, range, dimmed, silent }, scaleOf, room) {
   const ends = curves.flatMap((curve) => {
     const value = isBit(curve) ? null : lastValue(curve, range);
-    const ended = endValue(curve, range, now()) === null;
+    const ended = silent.has(curve.key) || endValue(curve, range, now()) === null;
     return value === null ? [] : [{ ...curve, ended, wanted: plot.valToPos(value, scaleOf(curve)) }];
   });
   const places = apart(ends.map(({ wanted }) => wanted), NAME, [NAME / 2, plot.over.clientHeight]);

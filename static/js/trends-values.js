@@ -52,7 +52,7 @@ export class Values {
   /** @param {Trends} trends */
   constructor(trends) {
     this.trends = trends;
-    /** @type {{ toggle: HTMLElement, value: HTMLElement, before: HTMLElement, cells: HTMLElement[] }[]} */
+    /** @type {{ toggle: HTMLElement, value: HTMLElement, age: HTMLElement, before: HTMLElement, cells: HTMLElement[] }[]} */
     this.rows = [];
     this.made = "";
   }
@@ -80,15 +80,16 @@ export class Values {
       /** @param {string} act @param {Partial<HTMLButtonElement>} properties @param {(string | Node)[]} content */
       const button = (act, properties, ...content) =>
         element("button", { type: "button", ...properties }, { key: `${act} ${key}`, act, of: key }, ...content);
-      const [value, before, title] = [element("b"), element("small"), element("bdi", {}, {}, `${i + 1} ${name}`)];
-      const toggle = button("toggle", { role: "switch" }, swatch(curve), title, value, before);
+      const [value, age] = ["value__number", "age"].map((className) => element("span", { className }));
+      const [before, title] = [element("small"), element("bdi", {}, {}, `${i + 1} ${name}`)];
+      const toggle = button("toggle", { role: "switch" }, swatch(curve), title, element("b", {}, {}, value, " ", age), before);
       const only = button("only", { ariaLabel: `${words.onlyThis}: ${name}` }, words.only);
       const axis = button("choose", { className: "trends__axis" }, swatch(curve), name + (measure ? ` [${measure}]` : ""));
       const remove = button("remove", { className: "button button--small", ariaLabel: `${words.remove}: ${name}` }, "×");
       // With the head of its column, which a phone shows beside it.
       const cells = heads.slice(1, -1).map(({ textContent }) => element("td", { className: "number" }, { head: textContent ?? "" }));
       const [head, end] = [element("th", { scope: "row" }, {}, axis), element("td", { className: "number" }, {}, remove)];
-      return { toggle, value, before, cells, row: element("tr", {}, {}, head, ...cells, end), item: element("li", {}, {}, toggle, only) };
+      return { toggle, value, age, before, cells, row: element("tr", {}, {}, head, ...cells, end), item: element("li", {}, {}, toggle, only) };
     });
     this.rows = made;
     refill(document.getElementById("trend-legend"), made.map(({ item }) => item));
@@ -99,18 +100,22 @@ export class Values {
     });
   }
 
-  /** What all read at the cursor, or at the end of the span; and at A and B, with B − A where both are set. */
+  /** What all read at the cursor, or at the end of the span, with its age where a unit is silent now; and at A and B, with B − A where both are set. */
   read() {
-    const { curves, past, at, range, words, view: { a, b } } = this.trends;
+    const { curves, past, at, range, silent, words, view: { a, b } } = this.trends;
     /** @param {Curve} curve @param {number | null} time */
     const read = (curve, time) => (time === null ? null : valueAt(curve, time));
-    this.rows.forEach(({ value, before, cells }, i) => {
+    this.rows.forEach(({ toggle, value, age, before, cells }, i) => {
       const curve = curves[i];
       const present = at === null ? endValue(curve, range, now()) : valueAt(curve, at);
       const earlier = past.find(({ key }) => key === curve.key);
       const [va, vb] = [read(curve, a), read(curve, b)];
       const difference = va === null || vb === null || isBit(curve) ? UNKNOWN : number(vb - va, curve.decimals);
-      value.textContent = shownValue(curve, present) + (present !== null && curve.measure ? ` ${curve.measure}` : "");
+      age.textContent = (at === null && silent.get(curve.key)) || "";
+      toggle.dataset.quality = age.textContent ? "stale" : "online";
+      // The age has the place of the measure.
+      const measure = present !== null && curve.measure && !age.textContent ? ` ${curve.measure}` : "";
+      value.textContent = shownValue(curve, present) + measure;
       before.textContent = earlier ? shownValue(earlier, read(earlier, at)) : "";
       fill(cells, [shownValue(curve, va), shownValue(curve, vb), difference]);
     });

@@ -191,7 +191,7 @@ export class View extends EventTarget {
 }
 
 /** A series without its value, or a unit without its number. @param {string} [name] */
-const unitOf = (name = "") => name.slice(0, name.lastIndexOf("/"));
+export const unitOf = (name = "") => name.slice(0, name.lastIndexOf("/"));
 /** @param {number} span */
 const clamp = (span) => Math.min(MAX_SPAN, Math.max(MIN_SPAN, span));
 /** @param {string | null} text @param {string[]} known */

@@ -8,7 +8,7 @@ import { comparison, fetchNotes, fetchSeries, fetchWindows, unread } from "./tre
 import { Picture } from "./trends-plot.js";
 import { length, shortTime } from "./trends-time.js";
 import { clearLists, drawLists, fineness, isBit, summaryText, Values, valuesText } from "./trends-values.js";
-import { Catalogue, View } from "./trends-view.js";
+import { Catalogue, unitOf, View } from "./trends-view.js";
 
 const SETTLE_MS = 60;
 const BEAT_MS = 1000;
@@ -25,12 +25,14 @@ const catalogue = new Catalogue(JSON.parse(root.dataset.catalogue), JSON.parse(r
 const view = new View(catalogue, JSON.parse(root.dataset.shiftStarts));
 /** @type {Trends} */
 const trends = {
-  ...{ words, catalogue, view, range: view.range(), at: null, chosen: "", dimmed: new Set(), unknown: [] },
+  ...{ words, catalogue, view, range: view.range(), at: null, chosen: "", dimmed: new Set(), unknown: [], silent: new Map() },
   ...{ curves: [], past: [], compared: null, marks: [], alarms: [], notes: [], more: new Set() },
 };
 const picture = new Picture(plot, trends, { cursor: moved, selected: (from, to) => view.show(from, to) });
 const values = new Values(trends);
 const requestedAt = { data: 0, marks: 0 };
+/** How long a unit has been silent; none is until what every page has is loaded. @param {string} _unit */
+let silenceOf = (_unit) => "";
 /** @type {AbortController | null} */
 let pending = null;
 let settling = 0;
@@ -101,7 +103,9 @@ async function fetchPast(range) {
 /** Once a second: what follows now moves on, and requests as often as a pixel's worth has passed. */
 function beat() {
   if (document.hidden || !view.live) return;
+  const wasSilent = trends.silent.size > 0;
   spanChanged();
+  if (wasSilent || trends.silent.size) values.read();
   const [from, to] = trends.range;
   const due = Math.max(2000, ((to - from) * 1000) / REFRESHES_PER_SPAN);
   if (Date.now() - requestedAt.data >= due) fetchCurves();
@@ -128,6 +132,8 @@ function changed(names) {
 
 function spanChanged() {
   trends.range = view.range();
+  const ages = view.live ? view.series.map((key) => /** @type {const} */ ([key, silenceOf(unitOf(key))])) : [];
+  trends.silent = new Map(ages.filter(([, age]) => age));
   picture.move();
   showControls(root, trends);
 }
@@ -220,4 +226,7 @@ first.then(fetchWindows).then(
 );
 setInterval(beat, BEAT_MS);
 // What every page has comes after the picture, or without it when the history is slow.
-Promise.race([first, new Promise((late) => setTimeout(late, REST_WAITS_MS))]).finally(() => import("./main.js"));
+Promise.race([first, new Promise((late) => setTimeout(late, REST_WAITS_MS))]).finally(async () => {
+  await import("./main.js");
+  ({ silenceOf } = await import("./quality.js"));
+});

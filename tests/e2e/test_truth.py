@@ -55,9 +55,13 @@ def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
 
 
 def test_a_pulled_cable_is_one_cause(own_site: Site, shared_page: OpensPages) -> None:
-    page = opened(shared_page("engineer", site=own_site, viewport=PANEL), "/")
+    page = opened(shared_page("engineer", site=own_site, viewport=PANEL), "/trends?span=600")
+    expect(page.locator("#trend-legend .value__number").first).to_contain_text(re.compile(r"\d"))
     own_site.line.remote.do("unplug")
     try:
+        expect(page.locator("#trend-legend [data-quality=stale] .age")).to_have_count(3)
+        expect(page.locator("#trend-legend .age").first).to_have_text(re.compile(r"^\d\.\d s ago$"))
+        opened(page, "/")
         expect(page.locator("h1")).to_contain_text("line · Port closed since")
         expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("3")
         opened(page, "/units/line/1")

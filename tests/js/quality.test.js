@@ -6,7 +6,7 @@ import { openPage } from "./page.js";
 const clock = openPage();
 const { replace, show } = await import("../../static/js/bind.js");
 const { received } = await import("../../static/js/clock.js");
-const { qualityOf } = await import("../../static/js/quality.js");
+const { qualityOf, silenceOf } = await import("../../static/js/quality.js");
 
 const BUS = { stale_after: 2, offline_after: 5 };
 const unit = (more) => ({ line: BUS, "line/1": { at: 1000, link: "online", ...more } });
@@ -37,4 +37,14 @@ test("what was never read is unknown, also after a snapshot without it", () => {
   assert.equal(qualityAfter(10), "unknown");
   replace({});
   assert.equal(qualityAfter(10), "unknown");
+});
+
+test("a unit that is not live has been silent since its last reading, one that was never read has no age", () => {
+  replace(unit({ at: 1010 }));
+  clock.ms = 11_000;
+  assert.equal(silenceOf("line/1"), "");
+  clock.ms = 13_000;
+  assert.equal(silenceOf("line/1"), "lastResponse");
+  replace(unit({ at: undefined }));
+  assert.equal(silenceOf("line/1"), "");
 });
