@@ -118,6 +118,11 @@ class Alarm:
         return not self.facts.is_hidden and (self.facts.active or not self.facts.acknowledged)
 
     @property
+    def is_unknown(self) -> bool:
+        """Whether the alarm was active and may have ended since, as its condition is not observed."""
+        return self.facts.active and self.facts.unknown_since is not None
+
+    @property
     def state_text(self) -> Message:
         """The words for the present state."""
         return state_text(self.facts.state)

@@ -277,7 +277,7 @@ def make(services: Services) -> None:
     services.lifespan.add("alarms", *follow, start=alarms.load, end=alarms.write)
     services[Finders].add("find_alarms", partial(_find, alarms))
     services.add(Simulator(services[History]))
-    _add_banner(services, AlarmBanner(alarms))
+    _add_banner(services, AlarmBanner(alarms), alarms.tick)
     hub = services[Hub]
     alarms.subscribe(lambda alarm: hub.show_alarm(alarm.definition.bus, alarm.definition.unit))
     services.add(AlarmType(AlarmShown))
@@ -327,13 +327,13 @@ def _control_left(services: Services, guards: UnitGuards) -> Message | None:
     return control_left_by(holding.holder, holding.used_at, services[Hub].people(), monotonic_now())
 
 
-def _add_banner(services: Services, banner: AlarmBanner) -> None:
+def _add_banner(services: Services, banner: AlarmBanner, observe_age: Callable[[], None]) -> None:
     templates = services[Templates]
 
     def alarms_in(_: Caller | None, language: Language) -> Fields:
         return banner.banner(Translator(language, templates.formats(language.tag)))
 
-    services[Sources].show_alarms(banner.banner, banner.unit_fields, banner.delay_s)
+    services[Sources].show_alarms(banner.banner, banner.unit_fields, banner.delay_s, observe_age)
     templates.parts["head_alarms"] = alarms_in
 
 

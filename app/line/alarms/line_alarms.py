@@ -256,6 +256,20 @@ class LineAlarms:
         """Return the alarms that are active or not acknowledged, and that nothing hides, in no order."""
         return [alarm for alarm in self._present.values() if alarm.is_annunciated]
 
+    def unknown(self) -> list[Alarm]:
+        """Return the alarms that were active and may have ended since, as nobody reads their unit. What
+        suppresses an alarm, as a closed port does, may be why; one that a person hid is left out."""
+        return [
+            alarm
+            for alarm in self._present.values()
+            if alarm.is_unknown and not alarm.facts.is_hidden_by_person
+        ]
+
+    def tick(self) -> None:
+        """Observe what time alone has changed, on every bus."""
+        for bus in self.buses.values():
+            bus.tick()
+
     def sounding(self) -> list[Alarm]:
         """Return the alarms that are audible, the most important first."""
         sounding = (alarm for alarm in self._present.values() if alarm.facts.sounds)
@@ -381,13 +395,10 @@ class AlarmBanner:
         others."""
         found = self._alarms.annunciated()
         first = min(found, key=lambda alarm: (rank(alarm)[:3], not alarm.is_unacknowledged), default=None)
-        # What suppresses an alarm, as a closed port does, may be why nobody knows whether it goes on.
-        shown = (alarm.facts for alarm in self._alarms.present() if not alarm.facts.is_hidden_by_person)
-        unknown = sum(facts.active and facts.unknown_since is not None for facts in shown)
         active, waiting = alarm_counts(
-            sum(alarm.facts.active and alarm.facts.unknown_since is None for alarm in found),
+            sum(alarm.facts.active and not alarm.is_unknown for alarm in found),
             sum(alarm.is_unacknowledged for alarm in found),
-            unknown,
+            len(self._alarms.unknown()),
         )
         return {
             "mark": first.mark if first else "",

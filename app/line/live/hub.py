@@ -378,6 +378,9 @@ class Hub:
         now = self._clock()
         if self._watched_is_due:
             self._notify_watchers()
+        if self._with_pages():
+            # The counts of alarms and the verdict learn in the same moment that nobody reads a unit any more.
+            self._sources.observe_age()
         for broadcast in self._with_pages():
             screen = broadcast.screen
             faults = screen.put(LINE_GROUP, {"memory": self._sources.notice(screen.translator, now)})

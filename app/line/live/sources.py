@@ -124,8 +124,8 @@ def no_delay(_place: str, _code: str) -> float:
 
 @dataclass(slots=True)
 class Sources:
-    """The sources by bus, and those of the site. ``history_fault``: why no history is stored, None while it
-    is."""
+    """The sources by bus, and those of the site. ``observe_age``: lets the alarms observe what time alone has
+    changed; ``history_fault``: why no history is stored, None while it is."""
 
     guards: dict[str, UnitGuards] = field(default_factory=dict)
     drift: dict[str, GoldenDrift] = field(default_factory=dict)
@@ -133,12 +133,20 @@ class Sources:
     banner: AlarmBanner = lambda *_: {}
     unit_alarm: UnitAlarm = lambda *_: {}
     alarm_delay_s: AlarmDelay = no_delay
+    observe_age: Callable[[], None] = lambda: None
     notices: list[Notice] = field(default_factory=list)
     history_fault: Callable[[], Message | None] = lambda: None
 
-    def show_alarms(self, banner: AlarmBanner, unit_alarm: UnitAlarm, delay_s: AlarmDelay) -> None:
+    def show_alarms(
+        self,
+        banner: AlarmBanner,
+        unit_alarm: UnitAlarm,
+        delay_s: AlarmDelay,
+        observe_age: Callable[[], None],
+    ) -> None:
         """Show the alarms that these functions return, from now on."""
         self.banner, self.unit_alarm, self.alarm_delay_s = banner, unit_alarm, delay_s
+        self.observe_age = observe_age
 
     def notice(self, translator: Translator, now: UnixTime) -> str:
         """Return the faults of the server's records in the reader's language; mostly empty."""

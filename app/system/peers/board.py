@@ -282,13 +282,14 @@ def _counts(summary: LineSummary, translator: Translator) -> str:
 def _mark(summary: LineSummary) -> str:
     """Return the mark of the first alarm. A list has active alarms before cleared ones, so without an active
     alarm the first has cleared."""
-    cleared = summary.alarm_priority and not summary.active
+    cleared = summary.alarm_priority and not summary.active and not summary.unknown
     return f"{summary.alarm_priority} cleared" if cleared else summary.alarm_priority
 
 
 def _alarms(summary: LineSummary, translator: Translator) -> str:
-    """Return the number of active alarms, and of those that wait for an acknowledgement."""
-    counts = alarm_counts(sum(summary.active.values()), sum(summary.waiting.values()))
+    """Return the number of active and unknown alarms, and of those that wait for an acknowledgement."""
+    active, waiting = sum(summary.active.values()), sum(summary.waiting.values())
+    counts = alarm_counts(active, waiting, summary.unknown)
     return " · ".join(translator.t(count) for count in counts if count is not None)
 
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from contextlib import asynccontextmanager
 from datetime import datetime
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, NotRequired, cast
 
 import msgspec
 import structlog
@@ -61,6 +61,10 @@ class LineAlarmsShown(TypedDict):
 
     active: AlarmCount
     unacknowledged: AlarmCount
+    unknown: Annotated[
+        NotRequired[Count],
+        Field(description="How many were active and may have ended since, as nobody reads their units."),
+    ]
     first: Annotated[MessageShown | None, Field(description="Its text; null: there is none.")]
     first_priority: AlarmPriorityShown | None
 
@@ -207,6 +211,7 @@ def _summary_json(summary: LineSummary) -> dict[str, Any]:
         "alarms": {
             "active": summary.active,
             "unacknowledged": summary.waiting,
+            "unknown": summary.unknown,
             "first": maybe_shown(summary.alarm),
             "first_priority": summary.alarm_priority or None,
         },
@@ -266,6 +271,7 @@ def _summary(line: LineOfSite) -> LineSummary:
         states=line["states"] or {},
         active=alarms["active"],
         waiting=alarms["unacknowledged"],
+        unknown=alarms.get("unknown", 0),
         place=line["place"] or "" if is_known else "",
         cause=_cause(cause) if cause and is_known else None,
         alarm=_maybe_message(alarms["first"]),

@@ -85,9 +85,9 @@ class EventSummary(msgspec.Struct, frozen=True):
 class LineSummary(msgspec.Struct, frozen=True):
     """The summary of one line. ``verdict``: the text if there is no ``cause``; ``place``: the unit or bus of
     the cause. ``states``: units by state, and the number that is ``online``; ``active`` and ``waiting`` (for
-    an acknowledgement): alarms by priority; ``alarm``: the text of the first alarm. ``speeds``: of the first
-    unit, the newest last, in ``measure``, None if not read; ``scan_hz``: scans a second; ``recipe``: the one
-    last loaded."""
+    an acknowledgement): alarms by priority; ``unknown``: the number that were active and may have ended
+    since; ``alarm``: the text of the first alarm. ``speeds``: of the first unit, the newest last, in
+    ``measure``, None if not read; ``scan_hz``: scans a second; ``recipe``: the one last loaded."""
 
     bus: str
     site: str
@@ -97,6 +97,7 @@ class LineSummary(msgspec.Struct, frozen=True):
     states: dict[str, int]
     active: Counts
     waiting: Counts
+    unknown: int = 0
     place: str = ""
     cause: CauseSummary | None = None
     alarm: Message | None = None
@@ -144,9 +145,11 @@ def summary_of(
     site: str,
     now: UnixTime,
     alarm_delay_s: AlarmDelay = no_delay,
+    unknown: int = 0,
 ) -> LineSummary:
     """Return the summary of a line. ``views``: of each unit; ``alarms``: those of the line for people, each
-    with its text; ``site``: its name; ``alarm_delay_s``: when a condition becomes an alarm."""
+    with its text; ``site``: its name; ``alarm_delay_s``: when a condition becomes an alarm; ``unknown``: how
+    many alarms may have ended."""
     place, key, cause = _worst(bus, views, now)
     counts = state_counts(views)
     known = sorted(alarms, key=lambda entry: rank(entry[0]))
@@ -159,8 +162,9 @@ def summary_of(
         all_well(len(views), counts, None),
         len(views),
         dict(counts),
-        _by_priority(alarm for alarm, _ in known if alarm.facts.active),
+        _by_priority(alarm for alarm, _ in known if alarm.facts.active and not alarm.is_unknown),
         _by_priority(alarm for alarm, _ in known if alarm.is_unacknowledged),
+        unknown,
         place=place,
         cause=CauseSummary.from_cause(cause, alarm_delay_s(key, TILES[cause.code].code)) if cause else None,
         alarm=first[1] if first else None,
@@ -329,7 +333,9 @@ class OwnLines:
         trace = self._traces.setdefault(name, SpeedTrace())
         trace.note(bus, now)
         delay_s = self.sources.alarm_delay_s
-        found = summary_of(bus, views, self._alarms_of(name), trace.points, self.site, now, delay_s)
+        unknown = sum(alarm.definition.bus == name for alarm in self.alarms.unknown())
+        alarms = self._alarms_of(name)
+        found = summary_of(bus, views, alarms, trace.points, self.site, now, delay_s, unknown)
         return replace(found, recipe=self._recipe(name), event=self.events.newest_of(name))
 
     def _recipe(self, bus: str) -> Message | None:

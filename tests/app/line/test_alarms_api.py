@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import msgspec
 import pytest
 
 from app.core.web.access import Role
@@ -19,7 +20,9 @@ from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import AlarmBanner, LineAlarms
 from app.line.alarms.performance import ObservedSpan
 from app.line.alarms.rules import AlarmFacts
+from app.line.live.browser import Browser
 from app.line.live.bus_live import LiveState
+from app.line.live.hub import Hub
 from app.people.audit.log import EventLog
 from bus.contract import Reading
 from bus.instants import unix_now
@@ -497,6 +500,17 @@ async def test_an_unknown_condition_is_not_shown_as_active(house: House) -> None
     assert banner.banner(translator())["active"] == "1 alarm unknown"
     remote_off(house, unit=2)
     assert banner.banner(translator())["active"] == "1 active, 1 unknown"
+
+
+async def test_a_beat_of_the_pages_learns_that_nobody_reads_a_unit_any_more(house: House) -> None:
+    hub, live = house.services[Hub], house.services[LiveState].buses[BUS]
+    estop(house.services, active=True)
+    hub.join(Browser("ann", "viewer", "en"))
+    hub.tick()
+    assert not facts_of(house).unknown_since
+    live.units[1].reading = msgspec.structs.replace(live.units[1].reading, at=unix_now() - 5)
+    hub.tick()
+    assert facts_of(house).unknown_since
 
 
 async def test_pages_learn_when_it_is_not_known_any_more_and_when_it_is_again(house: House) -> None:

@@ -141,6 +141,12 @@ def test_a_cleared_alarm_is_never_drawn_as_one_that_is_active() -> None:
     assert tile(LineOnBoard("a", summary("a")))["alarms"] == "No alarms"
 
 
+def test_an_alarm_that_may_have_ended_is_unknown_and_not_active() -> None:
+    unknown = msgspec.structs.replace(summary("a", waiting=1), active={}, unknown=1)
+    fields = tile(LineOnBoard("a", unknown))
+    assert (fields["alarm_mark"], fields["alarms"]) == ("high", "1 alarm unknown · 1 to acknowledge")
+
+
 def test_the_outline_of_a_speed() -> None:
     assert outline([]) == outline([None]) == ""
     assert outline([5.0, 5.0]).startswith("M236 20.0L240 20.0")
