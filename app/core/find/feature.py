@@ -24,19 +24,24 @@ Typed = Annotated[OneLine, Query(max_length=80)]
 Near = Annotated[str, Query(max_length=200)]
 ACTIONS = (
     # An address that begins with # is a press on the page itself: data-theme-toggle, data-clean.
-    FixedPlace(Message("find_set_units"), "/setpoints", "SetLine"),
+    FixedPlace(Message("find_set_units"), "/setpoints", "SetLine", Message("find_words_setpoints")),
     FixedPlace(Message("find_save_recipe"), "/recipes", "save_recipe"),
     FixedPlace(Message("find_save_set"), "/sets", "save_parameter_set"),
+    FixedPlace(Message("find_compare"), "/sets/compare", words=Message("find_words_compare")),
+    FixedPlace(Message("find_export"), "/trends", words=Message("find_words_export")),
     FixedPlace(Message("find_write_note"), "/shifts/present", "write_shift_note"),
     FixedPlace(Message("find_add_alarm"), "/alarms/own", "add_own_alarm"),
     FixedPlace(Message("find_wallboard"), "/wallboard"),
     FixedPlace(Message("find_scan_bus"), "/bus#scan"),
+    FixedPlace(Message("find_bus_load"), "/bus"),
     FixedPlace(Message("find_add_user"), "/users#add", "add_user"),
     FixedPlace(Message("find_change_password"), "/account", words=Message("find_words_account")),
     FixedPlace(Message("find_backups"), "/system", words=Message("find_words_system")),
     FixedPlace(Message("find_theme"), "#theme-toggle", words=Message("find_words_theme")),
     FixedPlace(Message("find_full_screen"), "#full-screen"),
     FixedPlace(Message("find_clean_screen"), "#clean", words=Message("find_words_clean")),
+    FixedPlace(Message("find_legend"), "/help/legend", words=Message("find_words_legend")),
+    FixedPlace(Message("find_open_help"), "/help", words=Message("find_words_help")),
 )
 
 

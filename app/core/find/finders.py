@@ -16,6 +16,7 @@ from bus.messages import Message
 EXACT, BEGINS, WORD_BEGINS, WITHIN = range(4)
 """The ways in which a word is found in a name, the best first."""
 _WORD = re.compile(r"\w+")
+_HYPHENS = re.compile("[-\N{HYPHEN}]")
 
 
 def folded(text: str) -> str:
@@ -58,7 +59,7 @@ def _found(word: str, name: str) -> int | None:
         return BEGINS
     if any(each.startswith(word) for each in _WORD.findall(name)):
         return WORD_BEGINS
-    return WITHIN if word in name else None
+    return WITHIN if word in name or word in _HYPHENS.sub("", name) else None
 
 
 MAX_OF_KIND = 6

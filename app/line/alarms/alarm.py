@@ -113,6 +113,14 @@ class Alarm:
         return facts.since if self.is_unacknowledged and facts.active and facts.since != facts.came else None
 
     @property
+    def state_at(self) -> UnixTime | None:
+        """The time of the present state: when a cleared alarm cleared, since when one is unknown, else when
+        it came."""
+        facts = self.facts
+        at = (facts.unknown_since or facts.came) if facts.active else facts.cleared
+        return at or facts.since
+
+    @property
     def is_annunciated(self) -> bool:
         """Whether the alarm is active or not acknowledged, and nothing hides it."""
         return not self.facts.is_hidden and (self.facts.active or not self.facts.acknowledged)

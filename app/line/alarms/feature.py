@@ -256,8 +256,8 @@ async def _find(alarms: LineAlarms, search: Search) -> Iterable[FoundPlace]:
         place = alarms.place(definition.bus, definition.unit)
         name, state = t(definition.name), t(alarm.state_text)
         label = f"{place} · {name}" if place else name
-        # It does not change while it is in sight.
-        shown = f"{state} · {search.formats.clock(unix_now())}"
+        at = alarm.state_at
+        shown = state if at is None else f"{state} · {search.formats.since(at, unix_now())}"
         found += matched(search, FoundPlace(label, f"/alarms/{alarm.id}", shown), name, place, state)
     return found
 

@@ -456,14 +456,9 @@ def _state(alarm: Alarm | None, count: int, translator: Translator, now: UnixTim
     the number of others, and the page of the first."""
     if alarm is None:
         return {"state": "", "more": "", "at": ""}
-    facts = alarm.facts
-    if not facts.active:
-        code, at = "alarm_cleared_at", facts.cleared
-    elif facts.unknown_since is not None:
-        code, at = "alarm_unknown_since", facts.unknown_since
-    else:
-        code, at = "alarm_active_since", facts.came
-    time = translator.formats.since(at or facts.since or now, now)
+    code = "alarm_active_since" if alarm.facts.unknown_since is None else "alarm_unknown_since"
+    code = code if alarm.facts.active else "alarm_cleared_at"
+    time = translator.formats.since(alarm.state_at or now, now)
     return {
         "state": translator.t(Message.of(code, time=time)),
         "more": f" · {translator.t(Message.of('alarms_more', n=count - 1))}" if count > 1 else "",

@@ -273,6 +273,14 @@ def shown_cause(
     return next(others, cause)
 
 
+_BESIDE_RUNNING = frozenset(("not_in_remote", "blocked", "drift"))
+
+
+def is_beside_running(cause: Cause | None) -> bool:
+    """Return whether a cause is of low priority and says nothing of how its unit runs: it is no verdict."""
+    return cause is not None and cause.level == "low" and cause.code in _BESIDE_RUNNING
+
+
 def _draw(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
     """Return a draw out of its band as a cause, once it has lasted for the delay of its alarm."""
     onset = unit.onsets.since.get(DRAW_OUT_OF_BAND.code)

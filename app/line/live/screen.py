@@ -36,6 +36,7 @@ from app.line.live.diagnosis import (
     UnitView,
     broken_rung,
     connection_cause,
+    is_beside_running,
     no_response_cause,
     shown_cause,
     state_counts,
@@ -317,7 +318,7 @@ def _says_since(alarm: Fields, cause: Cause | None, bus: str, unit: int) -> bool
     """Return whether the alarm of a unit is that of its cause and active: its text then has the time."""
     if cause is None or not _is_active(str(alarm.get("alarm", ""))):
         return False
-    return str(alarm.get("alarm_at", "")).startswith(f"/alarms/{bus}.{unit}.{cause.code}.")
+    return str(alarm.get("alarm_at", "")).startswith(f"/alarms/{bus}.{unit}.{TILES[cause.code].code}.")
 
 
 @dataclass(slots=True)
@@ -409,22 +410,30 @@ class Screen:
         fields = unit_fields(bus, unit, view.link, self.translator)
         texts = cause_texts(cause, self.translator, now) if cause is not None else None
         alarm = self.sources.unit_alarm(bus_name, number, self.translator, now)
-        moves = joined(fields["state_text"])
-        status, self._briefs[key] = moves, (moves, "")
+        status = moves = joined(fields["state_text"])
+        check, self._briefs[key] = check_text(cause, self.translator), (moves, "")
         if texts is not None:
             self._briefs[key] = texts.brief, texts.since
-            status = texts.text if _says_since(alarm, cause, bus_name, number) else texts.line
+            is_said = _says_since(alarm, cause, bus_name, number)
+            if not is_beside_running(cause):
+                status = texts.text if is_said else texts.line
+            else:
+                # It runs: what is beside that is its alarm, or has the line below.
+                check = check or ("" if is_said else texts.line)
+                if ladder is not None and ladder is not cause:
+                    status = cause_texts(ladder, self.translator, now).line
         draw, run = draw_of(bus, unit, now), both_run(bus, unit)
         fields |= draw_fields(draw, self.translator, both_run=run)
         of_bus = connection_cause(bus, now)
+        # Abnormal once, at its bus; its own page has the mark of that cause. What is beside running has none.
+        page_level = of_bus.level if of_bus and cause and of_bus.code == cause.code else view.level
         return fields | {
             "level": view.level,
-            # Abnormal once, at its bus; its own page has the mark of that cause.
-            "page_level": of_bus.level if of_bus and cause and of_bus.code == cause.code else view.level,
+            "page_level": "" if is_beside_running(cause) else page_level,
             "cause": texts.line if texts is not None and view.level else "",
             "status": status,
             "brief": self._brief(key),
-            "check": check_text(cause, self.translator),
+            "check": check,
             "rung": broken_rung(ladder),
             "blocked": blocked,
             "drift": drifted.key,

@@ -35,6 +35,8 @@ PLACE = re.compile(
         ("dryer 1", ["Dryer 1", "4"], 0),
         ("dryer 1", ["Dryer 1 top", "4"], 3),
         ("walze", ["Kühlwalze"], 3),
+        ("estop", ["E-stop input"], 3),
+        ("nothalt", ["Not\N{NON-BREAKING HYPHEN}Halt"], 3),
         ("2", ["12"], None),
         ("#2", ["Coater", "2"], 0),
         ("dryer nip", ["Dryer 1"], None),
@@ -97,6 +99,8 @@ async def test_help_actions_and_the_state_of_an_input_are_found(tmp_path: Path) 
         assert 'href="/swap/dry-end/2"' in await found(engineer, "replace nip")
         assert "data-theme-toggle" in await found(client, "theme")
         assert 'href="/system"' in await found(client, "backup")
+        for typed, page in (("tour", "/help"), ("legend", "/help/legend"), ("drift", "/sets/compare")):
+            assert f'href="{page}"' in await found(client, typed)
         never = await found(client, "nip run input")
         assert re.search(rf"Nip · Run input</span>\s*<small><span[^>]*>{UNKNOWN}<", never)
         now = unix_now()

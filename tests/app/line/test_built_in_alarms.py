@@ -14,10 +14,11 @@ from pydantic import ValidationError
 
 from app.core.database import Database
 from app.core.web.access import Role
-from app.line.alarms.alarm import built_in
+from app.line.alarms.alarm import Alarm, built_in
 from app.line.alarms.bus_alarms import control_left_by
 from app.line.alarms.journal import AlarmStore
 from app.line.alarms.line_alarms import ExpiryWatch, SiteAlarms
+from app.line.alarms.rules import AlarmFacts
 from app.line.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.line.conditions.catalogue import CONDITIONS, certificate_expires, token_expires
 from app.line.live.diagnosis import bus_facts
@@ -370,3 +371,12 @@ def test_limits_are_judged_with_those_that_they_are_set_over(tmp_path: Path) -> 
     fault = faults_of(tmp_path, CONFIGURED + everywhere + DEVIATION + OF_UNIT + "above_percent = 5\n")
     assert "deadband is wider than the limits" in fault
     assert fault.startswith("FILE:12: ")
+
+
+def test_the_time_of_an_alarm_is_that_of_its_state_and_not_of_an_act() -> None:
+    alarm = Alarm(built_in("estop_active", BUS, 1), AlarmFacts(active=True, came=5.0, since=9.0))
+    assert alarm.state_at == 5.0
+    alarm.facts = AlarmFacts(active=True, came=5.0, since=9.0, unknown_since=7.0)
+    assert alarm.state_at == 7.0
+    alarm.facts = AlarmFacts(acknowledged=False, came=5.0, since=9.0, cleared=8.0)
+    assert alarm.state_at == 8.0

@@ -11,6 +11,7 @@ from app.line.live.bus_live import Onset
 from app.line.live.diagnosis import abnormal
 from app.line.live.fields import bus_fields, frame_fields, health_fields, name_on_site, unit_fields
 from app.line.live.screen import NamedCause, holders, line_fields, verdict_line
+from app.line.live.sources import Drifted
 from bus.contract import MAX_MEANING, BusFigures, BusLink, Frame, ParameterValue, UnitFigures
 from bus.instants import UnixTime
 from bus.messages import Message, term
@@ -392,7 +393,21 @@ def test_the_line_s_figures_are_the_worst_of_all_buses() -> None:
 
 def test_a_block_is_shown_with_its_reason() -> None:
     shown = screen(line(), blocks={2: "belt off"})
-    assert shown.shown["dry/2"]["status"] == "Commands blocked: belt off (anna)"
+    assert shown.shown["dry/2"]["status"] == "At speed"
+    assert shown.shown["dry/2"]["check"] == "Commands blocked: belt off (anna)"
+
+
+def test_the_first_line_of_a_unit_says_how_it_runs_and_nothing_of_low_priority() -> None:
+    shown = screen(line())
+    shown.sources.drift["dry"].summary = lambda *_: Drifted("1 value differs", "6")  # type: ignore[method-assign]
+    shown.refresh(100.0)
+    unit = shown.shown["dry/1"]
+    assert (unit["status"], unit["page_level"], unit["level"]) == ("At speed", "", "low")
+    assert unit["check"] == "1 value differs"
+    said = {"alarm": "low waiting", "alarm_at": "/alarms/dry.1.parameter_drift.1"}
+    shown.sources.unit_alarm = lambda *_: said
+    shown.refresh(100.0)
+    assert (shown.shown["dry/1"]["status"], shown.shown["dry/1"]["check"]) == ("At speed", "")
 
 
 def test_a_bus_without_any_response_is_one_entry() -> None:
