@@ -65,12 +65,10 @@ const untouched = (field) =>
 
 /** @param {HTMLFormElement} form */
 function keep(form) {
-  const drafts = read();
   const changed = fieldsOf(form).filter((field) => !isFollowing(field) && field.value !== untouched(field));
   const fields = Object.fromEntries(changed.map(({ name, value }) => [name, value.slice(0, MAX_LENGTH)]));
-  if (changed.length) drafts[keyOf(form)] = { at: clock.now(), fields };
-  else delete drafts[keyOf(form)];
-  write(drafts);
+  if (!changed.length) return forget(form);
+  write({ ...read(), [keyOf(form)]: { at: clock.now(), fields } });
 }
 
 /** @param {string} key */

@@ -266,6 +266,8 @@ export function start() {
     if (typed)
       content.querySelector("[data-review-act]").disabled = typed.value.trim() !== typed.dataset.typed;
   });
+  // Why there is no review was said of what stood in the field before.
+  document.addEventListener("input", ({ target }) => target.closest(".parameters__new")?.querySelector("[role=status]")?.replaceChildren());
   document.addEventListener("lineside:lost", lost);
   document.addEventListener("lineside:found", () => {
     if (isModal() && !dialog.open && content.querySelector("[data-ended]")) show();
@@ -306,7 +308,7 @@ export function start() {
     document.dispatchEvent(new CustomEvent("lineside:reported"));
     // A message beside a field may be outside the window: on a phone the button is a pad below it. Scroll only for
     // the person who clicked; what sticks to the foot of the window is always in it.
-    if (!target.matches(".tray")) target.scrollIntoView({ block: "nearest" });
+    if (!target.closest(".tray, .parameters-report")) target.scrollIntoView({ block: "nearest" });
   });
   document.addEventListener("htmx:error", (event) => {
     const form = content.querySelector("[data-pending]");

@@ -272,8 +272,10 @@ export function start() {
     const { pad, togetherDo } = button.dataset;
     if (pad) press(fieldOf(button), pad);
     else if (togetherDo) {
-      together(/** @type {HTMLFormElement} */ (button.closest("form")), button);
-      showDraws();
+      const form = /** @type {HTMLFormElement} */ (button.closest("form"));
+      together(form, button);
+      // What a button enters or clears is kept as what is typed (drafts.js), and its draw is shown.
+      form.querySelector("[data-together]")?.dispatchEvent(new Event("input", { bubbles: true }));
     }
     else {
       const input = (button.closest("form, td") ?? document).querySelector(

@@ -169,3 +169,8 @@ def test_no_row_of_the_setpoints_moves_for_a_change_what_is_staged_or_an_alarm(
     expect(page.locator("[data-unit='line/5'] .by-mode__not")).to_be_visible()
     expect(page.locator("[data-unit='line/2'] .status[data-is=urgent]")).to_be_visible(timeout=UNIT_MS)
     no_shift(page, "an alarm and LOCAL")
+    with site.api("engineer") as client:
+        client.post("/buses/line/units/7/block", json={"reason": "belt off, do not run"}).raise_for_status()
+        expect(page.locator("[data-unit='line/7'] .setpoints__entry > .mark")).to_be_visible(timeout=UNIT_MS)
+        no_shift(page, "a block")
+        client.delete("/buses/line/units/7/block").raise_for_status()

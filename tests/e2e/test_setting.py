@@ -313,13 +313,36 @@ def test_scaling_fills_in_checked_rows(shared_page: OpensPages) -> None:
     expect(page.locator("#change-line")).to_contain_text("below 0")
 
 
+def test_what_a_button_entered_is_kept_for_the_next_page_and_what_it_cleared_is_not(
+    shared_page: OpensPages,
+) -> None:
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
+    fields = [page.locator(f"[name=new-{unit}]") for unit in (1, 2)]
+    fields[0].fill("50")
+    page.locator("tr[data-unit='line/2'] [data-tick]").check()
+    page.locator('[data-together-do="step"][data-by="+5"]').click()
+    typed = [field.input_value() for field in fields]
+    opened(page, "/setpoints")
+    assert [field.input_value() for field in fields] == typed
+    assert all(typed)
+    page.locator('[data-together-do="clear"]').click()
+    opened(page, "/setpoints")
+    assert [field.input_value() for field in fields] == ["", ""]
+
+
 def test_a_parameter_is_written_and_a_dangerous_one_wants_a_word(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
-    row.locator("[name=value]").fill("12.5")
+    row.locator("[name=value]").fill("12.55")
     row.get_by_role("button", name="Write").click()
+    expect(row.locator(".field__error")).to_contain_text("has 2 decimals")
+    row.locator("[name=value]").fill("12.5")
+    expect(row.locator(".field__error")).to_have_count(0)
+    row.get_by_role("button", name="Write").click()
+    scrolled = page.evaluate("scrollY")
     page.locator("[data-review-act]").click()
     expect(page.locator("#parameters-result [data-review-done=good]")).to_contain_text("12.5")
+    assert page.evaluate("scrollY") == scrolled
     expect(page.locator("dialog[open]")).to_have_count(0)
     expect(row).to_contain_text("125")
     assert site.line.remote.do("parameter", unit=2, number=6) == 125

@@ -156,8 +156,8 @@ async def change_configuration_table(
     name: str,
     reason_of_change: ReasonOfChange = "",
 ) -> Response:
-    """Review the typed values; with ``confirmed`` write them. If the file was changed meanwhile, show its
-    present values with the typed ones."""
+    """Review the typed values; with ``confirmed`` write them, with ``again`` show them in the form once more.
+    If the file was changed meanwhile, show its present values with the typed ones."""
     form = await request.form()
     try:
         return await _changed(request, person, file, name, form, reason_of_change)
@@ -175,6 +175,10 @@ async def _changed(
     place = place_or_404(name, present.data)
     texts, kind, act = _typed(request, place, form), _text_in(form, "act"), act_on(place)
     act.check(person)
+    if _text_in(form, "again"):
+        return _form(request, place, present, texts)
+    if kind == "up" and changes_of(place, present.data, texts):
+        return _form(request, place, present, texts, fault=Message("configuration_moved_alone"))
     edit = edit_of(place, kind, texts)
     try:
         review = await file.review(edit, digest)
@@ -431,12 +435,15 @@ async def change_bus(
     units: Annotated[str, Form(max_length=MAX_UNITS_TEXT)] = "",
     digest: Digest = "",
     confirmed: Annotated[str, Form(max_length=10)] = "",
+    again: Annotated[str, Form(max_length=10)] = "",
     reason_of_change: ReasonOfChange = "",
 ) -> Response:
-    """Review the typed bus; with ``confirmed`` write it."""
+    """Review the typed bus; with ``confirmed`` write it, with ``again`` show it in the form once more."""
     texts = {"name": name.strip(), "port": port.strip(), "baud": baud, "units": units}
     present = await file.present()
     _refuse_beyond(present, index)
+    if again:
+        return _bus_form(request, present, scan, index, texts)
     try:
         listed = units_typed(units)
     except CallerError as error:

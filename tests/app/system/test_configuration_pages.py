@@ -56,6 +56,20 @@ async def test_a_unit_is_renamed_after_a_review(engineer: httpx.AsyncClient, fil
     assert "the-engineer" in page
 
 
+async def test_a_review_leads_back_to_what_was_typed_and_a_move_drops_none_of_it(
+    engineer: httpx.AsyncClient, file: PlantFile
+) -> None:
+    review = await engineer.post(UNIT, data=await form_of(engineer, name="Unwinder"))
+    again = await engineer.post(UNIT, data={**fields_of(review.text), "again": "true"})
+    assert (again.status_code, 'value="Unwinder"' in again.text) == (200, True)
+    assert "Write the file" not in again.text
+    second = UNIT.replace("unit.0", "unit.1")
+    moved = await engineer.post(second, data=await form_of(engineer, second, act="up", name="Nip 2"))
+    assert (moved.status_code, 'value="Nip 2"' in moved.text) == (422, True)
+    assert "is not part of a move" in moved.text
+    assert file.text == TEXT
+
+
 async def test_a_fault_is_at_its_field_and_what_was_typed_stays(
     engineer: httpx.AsyncClient, file: PlantFile
 ) -> None:
