@@ -267,7 +267,9 @@ export function start() {
       content.querySelector("[data-review-act]").disabled = typed.value.trim() !== typed.dataset.typed;
   });
   // Why there is no review was said of what stood in the field before.
-  document.addEventListener("input", ({ target }) => target.closest(".parameters__new")?.querySelector("[role=status]")?.replaceChildren());
+  document.addEventListener("input", (event) => {
+    /** @type {Element} */ (event.target).closest(".parameters__new")?.querySelector("[role=status]")?.replaceChildren();
+  });
   document.addEventListener("lineside:lost", lost);
   document.addEventListener("lineside:found", () => {
     if (isModal() && !dialog.open && content.querySelector("[data-ended]")) show();
