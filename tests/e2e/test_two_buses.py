@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import GERMAN, OpensPages
-from tests.e2e.pages import PANEL, PHONE, opened
+from tests.e2e.pages import PANEL, PHONE, count_shifts, opened, shifts
 from tests.e2e.site import AT_REST, NO_TENSION_ALARM, Line, Site, eventually
 
 NOT_RATIOED = 0
@@ -139,12 +139,14 @@ def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, share
 def test_a_closed_bus_leaves_the_other_its_controls(site: Site, shared_page: OpensPages) -> None:
     site.end_alarms()
     page = opened(shared_page(viewport=PANEL), "/")
+    count_shifts(page, ".main", ("left", "top"))
     wet(site).remote.do("unplug")
     try:
         expect(page.locator("h1")).to_contain_text("wet · Port closed since")
         expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("2")
         expect(page.locator('[data-unit="wet/1"]')).not_to_have_attribute("data-quality", "online")
         expect(page.locator('[data-unit="line/1"]')).to_have_attribute("data-quality", "online")
+        assert shifts(page) == []
         opened(page, "/setpoints")
         expect(page.locator(".top__verdict")).to_contain_text("wet · Port closed since")
         page.get_by_role("button", name="Set line to zero").click()
