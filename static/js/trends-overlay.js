@@ -128,9 +128,9 @@ function lanes(trends, beside) {
         drawn = { row, x };
       }
       const [isBefore, isLast] = [room < LEAST_ROOM && before >= 2 * LEAST_ROOM, end + room >= 100];
-      if (isBefore) return [part("trends__who", { right: 100 - x, top: top(row), "max-width": before < x ? before / 2 : x }, label), mark];
+      if (isBefore) return [part("trends__who", { right: 100 - x, top: top(row), "max-width": before < x ? before / 2 : x }, ...givingWay(label)), mark];
       const most = isLast ? `calc(${room}% + ${beside}px)` : room < 2 * LEAST_ROOM ? room : room / 2;
-      return room < LEAST_ROOM ? [mark] : [part("trends__who", { left: end, top: top(row), "max-width": most }, label), mark];
+      return room < LEAST_ROOM ? [mark] : [part("trends__who", { left: end, top: top(row), "max-width": most }, ...givingWay(label)), mark];
     }),
     ...notes.flatMap(({ t }, index) => {
       const flag = part("trends__flag", { left: left(t), top: top(rows) }, part("", {}, String(index + 1)));
@@ -153,25 +153,26 @@ function names(plot, { curves, range, dimmed, silent }, scaleOf, room) {
   const hairs = ends.map(({ wanted, ended }, i) => (ended ? "" : `M0 ${wanted}L${HAIR} ${places[i]}`));
   return [
     drawing("trends__hairs", hairs.join("")),
-    ...ends.map(({ place, label, key, ended }, i) => {
-      const name = part("trends__name", { top: `${places[i]}px`, "max-width": `${room - HAIR - 4}px` }, `${place + 1}`);
+    ...ends.map(({ unit, label, key, ended }, i) => {
+      const name = part("trends__name", { top: `${places[i]}px`, "max-width": `${room - HAIR - 4}px` }, `${unit}`);
       if (room > LEAST_NAME) name.append(...givingWay(label));
       name.classList.toggle("trends__name--dimmed", ended || dimmed.has(key));
       return name;
     }),
-    ...curves.filter(isBit).map(({ place, name }, i, { length }) => {
+    ...curves.filter(isBit).map(({ unit, name }, i, { length }) => {
       const middle = plot.valToPos(length - 1 - i + LANE_FILL / 2, "lane");
-      return part("trends__bit", { top: `${middle}px`, "max-width": `${plot.over.offsetLeft - 8}px` }, `${place + 1} ${name}`);
+      return part("trends__bit", { top: `${middle}px`, "max-width": `${plot.over.offsetLeft - 8}px` }, `${unit} ${name}`);
     }),
   ];
 }
 
-/** The name of a unit, which is cut where it is too long, and what is shown of it, which is not. @param {string} label */
+/** The name of a unit, which is cut where it is too long, and what is shown of it or happens there, which is cut last.
+ * @param {string} label */
 function givingWay(label) {
   const at = label.lastIndexOf(" · ");
   const unit = document.createElement("bdi");
   unit.textContent = at < 0 ? label : label.slice(0, at);
-  return at < 0 ? [unit] : [unit, label.slice(at)];
+  return at < 0 ? [unit] : [unit, part("", {}, label.slice(at))];
 }
 
 /** Where labels of a height stand that want to be at `wanted`, in order of these, within a span: midway between where those

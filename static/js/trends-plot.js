@@ -8,7 +8,7 @@ import { isBit, look } from "./trends-values.js";
 /** Heights of a lane, of what is below the lowest of them, of the time axis, and the least that curves have. */
 const [LANE, LANES_END, FOOT, LEAST] = [30, 6, 50, 110];
 /** Widths left of the chart: for numbers, for names of lanes, on a phone; right of it for names of lines; of a unit. */
-const [GUTTER, GUTTER_WIDE, GUTTER_NARROW, NAMES, NAMES_NARROW, LABEL] = [92, 168, 52, 168, 24, 20];
+const [GUTTER, GUTTER_WIDE, GUTTER_NARROW, NAMES, NAMES_NARROW, LABEL] = [92, 168, 52, 168, 34, 20];
 /** Up to this width it is on a phone. */
 const NARROW = 700;
 /** How much of a curve's color its band has, percent, and how much is left of a dimmed line. */

@@ -75,13 +75,13 @@ export class Values {
     const body = document.getElementById("trend-values");
     const heads = [.../** @type {HTMLTableElement} */ (body.parentElement).querySelectorAll("thead th")];
     const place = document.activeElement?.closest("tr")?.sectionRowIndex ?? 0;
-    const made = curves.map((curve, i) => {
+    const made = curves.map((curve) => {
       const { key, name, measure } = curve;
       /** @param {string} act @param {Partial<HTMLButtonElement>} properties @param {(string | Node)[]} content */
       const button = (act, properties, ...content) =>
         element("button", { type: "button", ...properties }, { key: `${act} ${key}`, act, of: key }, ...content);
       const [value, age] = ["value__number", "age"].map((className) => element("span", { className }));
-      const [before, title] = [element("small"), element("bdi", {}, {}, `${i + 1} ${name}`)];
+      const [before, title] = [element("small"), element("bdi", {}, {}, `${curve.unit} ${name}`)];
       const toggle = button("toggle", { role: "switch" }, swatch(curve), title, element("b", {}, {}, value, " ", age), before);
       const only = button("only", { ariaLabel: `${words.onlyThis}: ${name}` }, words.only);
       const axis = button("choose", { className: "trends__axis" }, swatch(curve), name + (measure ? ` [${measure}]` : ""));
@@ -121,7 +121,8 @@ export class Values {
     });
     /** @param {number | null} time */
     const moment = (time) => (time === null ? UNKNOWN : formatTime(time));
-    document.getElementById("trend-at").textContent = at === null ? words.latest : formatTime(at);
+    const isLatest = at === null && this.trends.view.live;
+    document.getElementById("trend-at").textContent = isLatest ? words.latest : formatTime(at ?? Math.min(range[1], now()));
     document.getElementById("time-a").textContent = moment(a);
     document.getElementById("time-b").textContent = moment(b);
     document.getElementById("time-difference").textContent = a === null || b === null ? UNKNOWN : length(Math.abs(b - a));
@@ -206,7 +207,7 @@ function eventContent({ t, until, bus, unit, who, shown: { what, old, new: chang
 /** @param {Alarm} alarm @param {TrendWords} words */
 function alarmContent({ t, until, priority, place, name }, words) {
   const shape = element("i", { className: "alarm-priority__shape", ariaHidden: "true" });
-  const mark = element("span", { className: "alarm-priority alarm-priority--word" }, { is: priority }, shape, words[priority] ?? "");
+  const mark = element("span", { className: "alarm-priority alarm-priority--word" }, { is: until === null ? priority : `${priority} cleared` }, shape, words[priority] ?? "");
   const end = until === null ? words.active : formatTime(until);
   return [mark, `${formatTime(t)} – ${end} · ${place && `${place} · `}${name}`];
 }

@@ -234,6 +234,7 @@ def test_one_finger_pulls_the_picture_and_sets_no_cursor(browser_page: OpensPage
     touch("touchEnd")
     began = datetime(2026, 1, 1, tzinfo=UTC).timestamp() - 600 * pull / width
     eventually(lambda: span_of(page) == pytest.approx([began, began + 600], abs=5), "the picture pulled")
+    expect(page.locator("#trend-at")).not_to_have_text("Latest values")
     assert {"a", "b"}.isdisjoint(view_of(page))
 
 
@@ -292,6 +293,11 @@ def test_an_alarm_is_marked_in_the_picture_and_listed(site: Site, shared_page: O
         expect(page.locator("#trend-alarms-list button:focus")).to_contain_text("Emergency stop")
         page.locator("#trend-marks").uncheck()
         expect(mark).to_have_count(0)
+        expect(page.get_by_role("switch", name="2 Infeed nip")).to_be_visible()
+    eventually(lambda: not site.unit(2)["inputs"]["estop"], "the stop released")
+    opened(page, "?s=line/2/actual&span=600")
+    last = page.locator("#trend-alarms-list .alarm-priority").last
+    expect(last).to_have_attribute("data-is", "urgent cleared")
 
 
 @pytest.mark.soak
