@@ -76,6 +76,20 @@ function press(input, key) {
   input.dispatchEvent(new Event("input", { bubbles: true }));
 }
 
+/** A step changes what is typed where something is: only of the unit's own setpoint is it sent at once.
+ * @param {MouseEvent} event */
+function stepTyped(event) {
+  const button = /** @type {Element} */ (event.target).closest(".nudges button");
+  const input = /** @type {HTMLInputElement | null} */ (button?.closest("form")?.querySelector("[data-follows][data-touched]"));
+  if (!button || !input) return;
+  event.stopPropagation();
+  const [by, typed] = [button.textContent.trim(), numberOf(input.value)];
+  const decimals = Math.max(...[by, input.value].map((text) => text.split(/[.,]/)[1]?.length ?? 0));
+  if (Number.isNaN(typed)) return input.focus();
+  input.value = Math.max(0, typed + numberOf(by)).toFixed(decimals).replace(".", DECIMAL_SIGN);
+  input.dispatchEvent(new Event("input", { bubbles: true }));
+}
+
 // --- many at once ----------------------------------------------------------------------------------------
 
 /** @type {Record<string, (present: number, by: number) => number>} */
@@ -266,6 +280,7 @@ export function start() {
   followDraws();
   markTray();
   for (const follows of [followUnits, markTray, listenForDraws]) document.addEventListener("lineside:changed", follows);
+  document.addEventListener("click", stepTyped, { capture: true });
   document.addEventListener("click", (event) => {
     const button = event.target.closest("[data-pad], [data-use], [data-together-do]");
     if (!button) return;

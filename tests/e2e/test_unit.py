@@ -185,7 +185,11 @@ def test_what_was_typed_is_a_draft_on_the_next_page_until_it_is_staged(site: Sit
     expect(unit_page.locator("#setpoint")).to_have_value("66.6")
     unit_page.get_by_role("button", name="Discard draft").click()
     expect(unit_page.locator("#setpoint")).not_to_have_value("66.6")
-    unit_page.locator("#setpoint").fill("66.6")
+    step, before = unit_page.locator(".nudges button").first, site.writes()
+    unit_page.locator("#setpoint").fill(f"{66.6 - float(step.inner_text()):.1f}")
+    step.click()  # of what is typed
+    expect(unit_page.locator("#setpoint")).to_have_value("66.6")
+    assert site.writes() == before
     unit_page.get_by_role("button", name="Stage…").click()
     unit_page.locator("[data-review-act]").click()
     expect(unit_page.locator("[data-review-done=good]")).to_be_visible()

@@ -189,3 +189,14 @@ async def test_a_ramp_of_nothing_is_warned_of_where_it_is_written(house: House) 
     speed = await browser.post("/units/dry-end/1/parameters/20/review", data={"value": "50.0"})
     assert remarks(speed) == [("effect_setpoint", "Unwind")]
     assert "50.0 <small>m/min</small>" in speed.text
+
+
+async def test_a_parameter_that_another_person_has_written_meanwhile_is_not_overwritten(house: House) -> None:
+    browser = await house.signed_in(Role.ENGINEER)
+    report_parameter(house, 1, 6, 140)
+    review = await browser.post("/units/dry-end/1/parameters/6/review", data={"value": "12.0"})
+    fields = dict(re.findall(r'type="hidden" name="(\w+)" value="([^"]*)"', review.text))
+    assert fields["was"] == "140"
+    report_parameter(house, 1, 6, 200)
+    refused = await browser.post("/units/dry-end/1/parameters/6", data=fields)
+    assert (refused.status_code, "it is 20.0 now; nothing was sent" in refused.text) == (409, True)

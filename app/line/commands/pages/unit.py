@@ -348,6 +348,7 @@ async def review_value(
         raw=raw,
         scale=scale_text({**parameter_scale(page.unit, number, raw), **(typed_with or {})}),
         old="" if known is None else parameter_message(parameter, known, page.unit),
+        was="" if known is None or parameter.secret else known,
         new=parameter_message(parameter, raw, page.unit),
         measure=measure_of_value(page.unit, parameter, raw),
         obstacle=page.obstacle(page.id),
@@ -365,10 +366,17 @@ async def write_parameter(
     confirmed: Confirmed,
     scale: ReviewedScale,
     typed: Annotated[str, Form(max_length=20)] = "",
+    was: Annotated[str, Form(max_length=10)] = "",
 ) -> Response:
-    """Send 86h, read back by 85h; a dangerous value only if the word was typed."""
+    """Send 86h, read back by 85h; a dangerous value only if the word was typed. ``was``: the raw value that
+    the review showed."""
     parameter = PARAMETERS[number]
     try:
+        known = page.unit.parameter_raw(number)
+        if was and known is not None and was != str(known) and not await page.has_sent(confirmed.id):
+            raise Problem(
+                409, "moved", Message.of("parameter_moved", value=parameter_message(parameter, known, page.unit))
+            )
         if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
         action = WriteParameter(unit=page.id, number=number, raw=raw)
