@@ -375,7 +375,9 @@ async def write_parameter(
         known = page.unit.parameter_raw(number)
         if was and known is not None and was != str(known) and not await page.has_sent(confirmed.id):
             raise Problem(
-                409, "moved", Message.of("parameter_moved", value=parameter_message(parameter, known, page.unit))
+                409,
+                "moved",
+                Message.of("parameter_moved", value=parameter_message(parameter, known, page.unit)),
             )
         if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
