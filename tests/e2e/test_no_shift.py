@@ -144,11 +144,14 @@ def test_no_row_of_the_setpoints_moves_for_a_change_what_is_staged_or_an_alarm(
     page.evaluate(END_UNDO)
     expect(page.locator("[data-undo]:visible")).to_have_count(0)
 
+    foot = page.locator(".setpoints__act")
+    place = foot.bounding_box()
     stage(site, 0.3)
     execute = page.locator("#tray [hx-get$='/staged/review']")
     expect(execute).to_contain_text("3")
     expect(page.locator(".staged-mark:visible")).to_have_count(3)
     no_shift(page, "three staged setpoints")
+    assert foot.bounding_box() == place
     page.locator("#tray [hx-post$='/staged/discard']").click()
     expect(page.locator(".staged-mark:visible")).to_have_count(0, timeout=UNIT_MS)
     expect(page.locator("#tray > *:visible")).to_have_count(0)
