@@ -327,7 +327,6 @@ def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by
     assert unsaid == []
     assert site.writes() == before
     opened(page, "/units/line/1")
-    page.locator("summary").click()
     page.get_by_role("button", name="Lift the command block of Unwind").click()
     expect(page.locator("#setpoint")).to_be_visible()
     with site.api() as client:
