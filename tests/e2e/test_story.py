@@ -203,7 +203,7 @@ def test_what_is_read_aloud_of_the_other_pages_of_an_operator_is_in_order(
         assert steps[:3] == [before, f"4 {name}", after]
         assert steps[3:8] == ["Overview", "Parameters", "Trends", "Events", "Write note"]
         assert re.fullmatch(r"Emergency stop ?active since \d\d:\d\d", steps[8])
-        assert steps[9:11] == ["Setpoint", "New setpoint"]
+        assert steps[9:11] == [f"{name} · Setpoint", "New setpoint"]
         assert steps[11:23] == [*"789456123", "Decimal sign", "0", "Erase"]
         assert [text[:3] for text in steps[23:27]] == ["Up ", "Up ", "Dow", "Dow"]
         assert steps[27:32] == ["Set now…", "Stage…", "Add to tray", "Execute staged…", "Outputs"]
