@@ -83,6 +83,13 @@ class BusDrift:
         """Return the parameters that, as last read, differ from the unit's golden set."""
         return list(self._found.get(unit, {}).values())
 
+    def is_drifted(self, unit: int) -> bool | None:
+        """Return whether the unit differs from its golden set; None while values of it have not been read."""
+        if self.differing(unit) or unit not in self._golden:
+            return bool(self.differing(unit))
+        known = self._live.units[unit].parameters
+        return False if self._golden[unit].rows.keys() - OPERATING_VALUES <= known.keys() else None
+
     def golden_values(self, unit: int) -> dict[int, Message]:
         """Return the golden value of each parameter that differs from it, by number."""
         return {one.row.number: one.row.left for one in self.differing(unit)}

@@ -44,15 +44,15 @@ _NEVER = UnixTime(0.0)
 
 class BusAlarms:
     """The alarms of one bus, detected and suppressed. ``has_drift`` returns whether a unit differs from its
-    golden set, ``left_control`` who has left control without releasing it; ``tuned``: limits and delays of
-    the built-in alarms. Call :meth:`load` before the first update."""
+    golden set, None while that is not known; ``left_control`` who has left control without releasing it;
+    ``tuned``: limits and delays of the built-in alarms. Call :meth:`load` before the first update."""
 
     def __init__(
         self,
         live: BusLive,
         own: Iterable[AlarmSettings],
         store: AlarmStore,
-        has_drift: Callable[[int], bool],
+        has_drift: Callable[[int], bool | None],
         left_control: Callable[[], Message | None] = lambda: None,
         clock: Clock = unix_now,
         monotonic: MonotonicClock = monotonic_now,
@@ -265,7 +265,7 @@ class _UnitMonitor:
         alarms: Mapping[str, Alarm],
         tuned: Sequence[BuiltInAlarmSettings],
         observe: Observe,
-        has_drift: Callable[[int], bool],
+        has_drift: Callable[[int], bool | None],
     ) -> None:
         self._bus = bus
         self._unit = unit
@@ -401,7 +401,8 @@ class _UnitMonitor:
     def observe_drift(self, now: UnixTime) -> None:
         """Observe drift: the golden set or the parameters that differ from it may have changed."""
         drifted = self._has_drift(self._unit.settings.id)
-        self._observe(self._drift, unit_conditions.PARAMETER_DRIFT.holds(drifted), now)
+        holds = None if drifted is None else unit_conditions.PARAMETER_DRIFT.holds(drifted)
+        self._observe(self._drift, holds, now)
 
     def observe_figures(self, figures: UnitFigures, now: UnixTime) -> None:
         """Observe the alarms that depend on the unit's counters."""

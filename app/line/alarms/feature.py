@@ -291,7 +291,7 @@ def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore
         bus[BusLive],
         own,
         store,
-        lambda unit: bool(sources.drift[name].differing(unit)),
+        lambda unit: sources.drift[name].is_drifted(unit),
         left_control=partial(_control_left, services, sources.guards[name]),
         tuned=settings.built_in_alarm,
     )

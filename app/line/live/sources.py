@@ -3,7 +3,7 @@ here."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, Protocol
 
@@ -78,8 +78,8 @@ class UnitGuards(Protocol):
 class GoldenDrift(Protocol):
     """The differences of the units of a bus from their golden sets."""
 
-    def differing(self, unit: int) -> Sequence[object]:
-        """Return the parameters of a unit that differ."""
+    def is_drifted(self, unit: int) -> bool | None:
+        """Return whether a unit differs; None while that is not known."""
 
     def golden_values(self, unit: int) -> Mapping[int, Message]:
         """Return the value in the golden set for each parameter that differs, by number."""

@@ -223,6 +223,16 @@ async def test_after_a_restart_the_events_still_show_the_cause(scene: Scene) -> 
     await again.background.close()
 
 
+async def test_after_a_restart_no_unit_equals_its_golden_set_before_it_was_read(scene: Scene) -> None:
+    assert scene.drift.is_drifted(1) is None
+    scene.reads(12, 21)
+    assert scene.drift.is_drifted(1) is True
+    for other in PARAMETERS.keys() - {20, 37}:
+        scene.reads(other, 0)
+    assert scene.drift.is_drifted(1) is False, "setpoints do not count"
+    assert scene.drift.is_drifted(2) is False
+
+
 async def test_the_list_on_the_units_page_has_another_key_when_its_text_changes(scene: Scene) -> None:
     keys = [scene.key()]
     for changed, raw in ((7, 0), (7, 61), (7, 62), (12, 5)):
