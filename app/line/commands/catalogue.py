@@ -35,6 +35,7 @@ from app.line.commands.values import (
     output_wording,
     parameter_wording,
     setpoint_wording,
+    staging_wording,
     wordings_by_unit,
 )
 from app.line.live.bus_live import BusLive
@@ -115,8 +116,10 @@ class CommandKind(Generic[A]):
 SET_SPEED: CommandKind[SetSpeed] = CommandKind(
     SetSpeed,
     Role.OPERATOR,
-    wording=lambda action, bus: setpoint_wording(
-        Message("event_set_speed" if action.execute else "event_stage_speed"), bus, action.unit, action.raw
+    wording=lambda action, bus: (
+        setpoint_wording(Message("event_set_speed"), bus, action.unit, action.raw)
+        if action.execute
+        else staging_wording(bus, action.unit, action.raw)
     ),
     setpoints=lambda action, _: [NewSetpoint(action.unit, action.raw, is_staged=not action.execute)],
     only_slows=lambda action, bus: action.execute and slows_all({action.unit: action.raw}, bus),

@@ -237,6 +237,16 @@ def setpoint_wording(what: Message, bus: BusLive, unit: int, raw: int | None) ->
     return Wording(what, setpoint_message(old, live), setpoint_message(raw, live), old, raw)
 
 
+def staging_wording(bus: BusLive, unit: int, raw: int) -> Wording:
+    """Return words for a setpoint that is staged: in place of another one it discards that, if the unit is
+    commanded so already."""
+    live = bus.units[unit]
+    if live.staged is None or raw != commanded_setpoint(live, bus):
+        return setpoint_wording(Message("event_stage_speed"), bus, unit, raw)
+    old, new = setpoint_message(live.staged, live), setpoint_message(raw, live)
+    return Wording(Message("event_discard_staged"), old, new, live.staged, raw)
+
+
 def reworded(
     action: Action, words: Wording, parts: Mapping[int, Wording], bus: BusLive
 ) -> tuple[dict[str, Message], dict[int, dict[str, Message]]]:

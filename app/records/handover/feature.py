@@ -23,6 +23,7 @@ from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.services import service
 from app.core.web.shape import ZonedTime
 from app.core.web.templating import Templates, formats_of, render
+from app.errors import Problem
 from app.feature import Feature, Services
 from app.line.alarms.api import Alarms, transition_json
 from app.line.alarms.line_alarms import LineAlarms
@@ -117,10 +118,27 @@ async def sheet_page(
     request: Request, person: Viewer, shifts: Shifts, signing: Sign, alarms: Alarms, shift: ShiftOfPath
 ) -> Response:
     """Show the sheet of a shift, its signatures, and the form for signing it."""
+    return await _sheet(request, person, shifts, signing, alarms, shift)
+
+
+async def _sheet(
+    request: Request,
+    person: Person,
+    shifts: Handover,
+    signing: Signing,
+    alarms: LineAlarms,
+    shift: Shift,
+    *,
+    status: int = 200,
+    **refused: Any,
+) -> Response:
+    """Return the page of a sheet; ``refused``: the name and the error of a signature that was refused."""
     found = await shifts.sheet(shift)
     return render(
         request,
         "handover/sheet.html",
+        status=status,
+        refused={"name": "", "reason": "", "error": None, **refused},
         sheet=readable(msgspec.json.decode(found.sheet)),
         later=readable(notes_json(found.later)),
         signed=found.signed,
@@ -207,7 +225,9 @@ async def write_note(
 async def sign(
     request: Request,
     person: Annotated[Person, SIGN.permitted],
+    shifts: Shifts,
     signing: Sign,
+    alarms: Alarms,
     shift: ShiftOfPath,
     part: Annotated[SignedPart, Form()],
     digest: Annotated[str | None, Form(max_length=64)] = None,
@@ -215,9 +235,15 @@ async def sign(
     password: Annotated[str, Form(max_length=1000)] = "",
     reason: FormReason = "",
 ) -> Response:
-    """Sign a sheet as the user of the session, or by name and password."""
+    """Sign a sheet as the user of the session, or by name and password; a wrong one is named at its field."""
     wanted = ShiftSignRequest(part=part, digest=digest, name=name, password=password, reason=reason)
-    await signing.sign(person, address_of(request), shift, wanted)
+    try:
+        await signing.sign(person, address_of(request), shift, wanted)
+    except Problem as problem:
+        if problem.status != 401:
+            raise
+        error = {"name": name, "reason": reason, "error": problem.message}
+        return await _sheet(request, person, shifts, signing, alarms, shift, status=401, **error)
     return RedirectResponse(f"{_path(shift.start)}#signatures", SEE_OTHER)
 
 

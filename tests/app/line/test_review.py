@@ -25,6 +25,7 @@ from app.line.commands.review import (
     ramp_parameters_missing,
     risks_of,
 )
+from app.line.commands.values import staging_wording
 from app.line.live.bus_live import BusLive, LiveState
 from bus.contract import BusLink, ParameterValue, Result, UnitLink, UnitOutcome, Update
 from bus.instants import monotonic_now
@@ -92,6 +93,15 @@ def test_a_new_setpoint_discards_another_that_is_staged() -> None:
     bus.units[1].staged = 1230
     assert [risk.code for risk in risks_of(bus, bus.units[1], NOW, KNOWN, 1200)] == ["risk_staged"]
     assert risks_of(bus, bus.units[1], NOW, KNOWN, 1230) == ()
+
+
+def test_staging_what_is_commanded_is_recorded_as_discarding_what_is_staged() -> None:
+    bus = after().buses["dry"]
+    assert staging_wording(bus, 1, 1200).what.code == "event_stage_speed"
+    bus.units[1].staged = 1230
+    found = staging_wording(bus, 1, 1200)
+    assert (found.what.code, found.old_raw, found.new_raw) == ("event_discard_staged", 1230, 1200)
+    assert staging_wording(bus, 1, 1210).what.code == "event_stage_speed"
 
 
 def test_one_remark_names_all_its_units() -> None:

@@ -496,6 +496,16 @@ async def test_another_person_signs_at_a_panel_with_name_and_password(house: Hou
     assert "the-viewer" not in str(await house.events("shift"))
 
 
+async def test_a_wrong_password_is_named_at_its_field_and_the_sheet_stays(house: House) -> None:
+    ann = await house.signed_in(Role.OPERATOR)
+    form = {"part": "leaving", "name": "bob", "password": "not it", "reason": "early"}
+    refused = await ann.post(f"/shifts/{await last(ann)}/sign", data=form)
+    assert refused.status_code == 401
+    field = refused.text[refused.text.index('id="field-password"') :][:500]
+    assert "wrong name or password" in field
+    assert 'value="bob"' in refused.text
+
+
 async def test_who_may_not_sign_signs_nothing(house: House) -> None:
     viewer, operator = await house.signed_in(Role.VIEWER), await house.signed_in(Role.OPERATOR)
     assert (await sign(viewer)).status_code == 403
