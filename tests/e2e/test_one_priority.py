@@ -91,6 +91,12 @@ COLORS = """section => ["urgent", "high", "medium"].map(level => {
   token.remove();
   return colors;
 })"""
+NUMBER = """section => {
+  section.dataset.is = "high";
+  const { content, position } = getComputedStyle(section.querySelector(".shape"), "::after");
+  return [content, position];
+}"""
+"""The number in the shape, which lies over the color there only with a position."""
 
 
 @pytest.mark.soak
@@ -102,3 +108,4 @@ def test_a_priority_has_its_color_on_the_wallboard(site: Site, shared_page: Open
     found = page.locator(f'.section[data-unit="line/{UNIT}"]').evaluate(COLORS)
     assert [drawn for drawn, _ in found] == [stated for _, stated in found]
     assert len({drawn for drawn, _ in found}) == len(found)
+    assert page.locator(f'.section[data-unit="line/{UNIT}"]').evaluate(NUMBER) == ['"2"', "relative"]
