@@ -170,7 +170,8 @@ def test_no_row_of_the_setpoints_moves_for_a_change_what_is_staged_or_an_alarm(
     faults("input", unit=2, input="estop", on=True)
     faults("mode", unit=5, to="local")
     expect(page.locator("[data-unit='line/5'] .by-mode__not")).to_be_visible()
-    expect(page.locator("[data-unit='line/2'] .status[data-is=urgent]")).to_be_visible(timeout=UNIT_MS)
+    cause = page.locator("[data-unit='line/2'] .setpoints__state > .status")
+    expect(cause.and_(page.locator("[data-is=urgent]"))).to_be_visible(timeout=UNIT_MS)
     no_shift(page, "an alarm and LOCAL")
     with site.api("engineer") as client:
         client.post("/buses/line/units/7/block", json={"reason": "belt off, do not run"}).raise_for_status()

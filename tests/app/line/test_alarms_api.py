@@ -431,7 +431,10 @@ async def test_every_page_counts_the_alarms_before_a_script_runs(house: House) -
     assert head(await page(viewer, "/events"))[1:] == ("1 Alarm aktiv", "1 zu quittieren")
     line = await page(viewer, "/?view=tiles")
     assert f'data-live-is="{BUS}/1.worn" data-is="urgent waiting"' in line
-    words = re.search(r'class="tile__why"[^>]*><b[^>]*>([^<]*)</b>\s*<span[^>]*>([^<]*)<', line)
+    assert f'class="tile__blocked"\n  data-live-is="{BUS}/1.blocked"' in line
+    row = await page(viewer, "/setpoints")
+    assert re.search(rf'class="setpoints__alarm"\s+data-live-is="{BUS}/1.words"', row), "as on the tile"
+    words = re.search(r'class="tile__why"[^>]*><b[^>]*>([^<]*)</b>\s*<span><span[^>]*>([^<]*)<', line)
     assert words is not None
     assert words[1] == "Not-Halt"
     assert words[2].startswith("aktiv seit")
