@@ -200,8 +200,8 @@ class SetReading:
     cause: Message | None = None
 
     def values_read(self, keeper: SetKeeper) -> dict[int, int]:
-        """Count the values read so far, by unit; all of them for a unit whose reading has ended."""
-        ended = self.missing.keys() | {rows.unit for rows in self.read}
+        """Count the values read so far, by unit; all of them for a unit that was read."""
+        ended = {rows.unit for rows in self.read}
         return {
             unit: len(PARAMETERS) if unit in ended else keeper.reader.values_since(unit, self.began)
             for unit in self.units

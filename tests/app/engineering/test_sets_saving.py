@@ -225,7 +225,7 @@ async def test_golden_sets_of_all_units_are_those_of_the_units_that_responded(sc
     assert taking.values_read(scene.keeper) == {1: 1, 2: 0}
     await takings.background.settled()
     assert (taking.state, list(taking.missing)) == ("kept", [2])
-    assert taking.values_read(scene.keeper) == {1: 40, 2: 40}
+    assert taking.values_read(scene.keeper) == {1: 40, 2: 0}
     assert [summary.golden_for for summary in await scene.store.summaries()] == [(1,)]
 
 
