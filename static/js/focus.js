@@ -39,7 +39,20 @@ export function giveBack() {
   if (element && !element.closest("[inert]")) element.focus({ preventScroll: true });
 }
 
+/** A table is a stop of the Tab key while there is something to scroll in it. */
+function findScrollable() {
+  for (const table of document.querySelectorAll(".table-wrap")) {
+    const scrolls = table.scrollWidth > table.clientWidth && getComputedStyle(table).overflowX !== "visible";
+    if (scrolls) table.setAttribute("tabindex", "0");
+    else if (table !== document.activeElement) table.removeAttribute("tabindex");
+  }
+}
+
 export function start() {
+  findScrollable();
+  document.addEventListener("lineside:changed", findScrollable);
+  addEventListener("load", findScrollable);
+  addEventListener("resize", findScrollable);
   document.addEventListener("focusin", remember);
   // A press elsewhere leaves the place; the pressed control takes the focus itself.
   document.addEventListener("pointerdown", () => (last = null), { capture: true });

@@ -272,6 +272,11 @@ def test_a_small_panel_has_room_for_the_verdict_and_scrolls_nothing_sideways(
     name.evaluate("one => one.textContent = 'Unwind of the second coating line, dry e'")
     for wide in ("html", ".table-wrap"):
         assert page.locator(wide).first.evaluate("one => one.scrollWidth <= one.clientWidth"), wide
+    table = page.locator(".table-wrap").first
+    assert table.get_attribute("tabindex") is None, "a stop of the Tab key without anything to scroll"
+    table.evaluate("one => one.style.cssText = 'inline-size: 10rem; overflow-x: auto'")
+    page.evaluate("dispatchEvent(new Event('resize'))")
+    expect(table).to_have_attribute("tabindex", "0")
 
 
 @pytest.mark.parametrize(
