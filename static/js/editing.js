@@ -39,15 +39,17 @@ function followFilters() {
   filterAll();
 }
 
-// A form whose button names how many of its boxes are ticked: data-counts-one and data-counts-many hold the texts.
+// A form whose button names how many of its boxes are ticked: data-counts-one and data-counts-many hold the texts,
+// data-counts-none that of a form that may be sent without any.
 /** @param {HTMLElement} form */
 function count(form) {
   const ticked = form.querySelectorAll("input[type=checkbox]:checked").length;
-  const text = ticked === 1 ? form.dataset.countsOne : form.dataset.countsMany;
+  const { countsNone, countsOne, countsMany } = form.dataset;
+  const text = (ticked === 0 && countsNone) || (ticked === 1 ? countsOne : countsMany);
   const button = form.querySelector("[data-counts-act]");
   if (!button) return;
   /** @type {HTMLElement} */ (button.querySelector("span")).textContent = text.replace("{n}", String(ticked));
-  button.disabled = ticked === 0;
+  button.disabled = ticked === 0 && !countsNone;
 }
 
 function followBoxes() {
