@@ -63,7 +63,8 @@ test("beside a faceplate no unit leaves its row, unless a cell would be too narr
 
 test("a cause is shown where it has room", () => {
   assert.equal(sizeOf({ columns: 4, width: 277, height: 254 }), "large");
-  assert.equal(sizeOf({ columns: 4, width: 318, height: 142 }), "medium");
+  assert.equal(sizeOf({ columns: 4, width: 278, height: 174 }), "large");
+  assert.equal(sizeOf({ columns: 3, width: 427, height: 174 }), "medium");
   assert.equal(sizeOf({ columns: 10, width: 170, height: 121 }), "medium");
   assert.equal(sizeOf({ columns: 22, width: 76, height: 50 }), "small");
 });
