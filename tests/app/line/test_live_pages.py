@@ -109,6 +109,12 @@ async def test_the_faceplate_is_a_part_of_the_line_with_what_the_role_may_do(hou
         assert ('name="value"' in part.text) is may_set
 
 
+async def test_a_bus_without_figures_promises_none(house: House) -> None:
+    house.services[LiveState].buses["dry-end"].apply([BusLink(at=UnixTime(1.0), link="closed")])
+    page = (await (await house.signed_in(Role.VIEWER)).get("/bus/dry-end")).text
+    assert ("there are no figures yet" in page, "up to then" in page) == (True, False)
+
+
 async def test_the_view_is_remembered(house: House) -> None:
     client = await house.program(Role.VIEWER)
     response = await client.get("/?view=matrix")
