@@ -410,7 +410,9 @@ async def start(
     person: Annotated[Person, START.permitted], restores: Restores, restore: KnownRestore, row: Ticks = None
 ) -> Response:
     """Write the ticked rows of a restore."""
-    restores.select(person, restore, ticked(restore, frozenset(row or ())))
+    # A spare to which nothing is to be written is only read.
+    if row or restore.rows or not restore.for_swap:
+        restores.select(person, restore, ticked(restore, frozenset(row or ())))
     restores.start(person, restore)
     return RedirectResponse(f"/restores/{restore.id}", 303)
 
