@@ -67,7 +67,7 @@ const [LETTER_PX, LINE_PX, BESIDE_PX, ABOVE_PX] = [6.3, 13.2, 12, 28];
 /** A large cell shows a cause beside all that it shows without one, a medium one in its place, and a small one none.
  * @param {Fit} fit */
 export function sizeOf({ width, height }) {
-  if (width >= 190 && height >= 148 + Math.min(0.09 * width, 40)) return "large";
+  if (width >= 190 && height >= 148 + Math.min(0.09 * width, 32)) return "large";
   const number = 1.2 * Math.min(0.2 * width, 0.36 * height);
   const lines = Math.ceil((LETTERS * LETTER_PX) / (width - BESIDE_PX));
   return height >= ABOVE_PX + number + lines * LINE_PX ? "medium" : "small";
