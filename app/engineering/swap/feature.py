@@ -64,6 +64,18 @@ async def swap_page(
     request: Request, _: Beginner, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """Offer the sets that the spare can equal or, during a swap, show its steps."""
+    return await _page(request, sets, live, swaps, bus, unit)
+
+
+async def _page(
+    request: Request,
+    sets: Sets,
+    live: LiveState,
+    swaps: SwapService,
+    bus: str,
+    unit: int,
+    error: Message | None = None,
+) -> Response:
     found = unit_or_404(live, bus, unit)
     return render(
         request,
@@ -74,13 +86,26 @@ async def swap_page(
         responds=unit_link_now(live.buses[bus], found, unix_now()) == "online",
         offers=offers(live, await sets.summaries(), bus, unit),
         swap=swaps.find(bus, unit),
+        error=error,
+        status=422 if error else 200,
     )
 
 
 @router.post("/swap/{bus}/{unit}", **FILE_FORM)
-async def begin(person: Beginner, live: Live, swaps: Swaps, bus: str, unit: int, chosen: Chosen) -> Response:
-    """Begin a swap; units are only read."""
+async def begin(
+    request: Request,
+    person: Beginner,
+    sets: Sets,
+    live: Live,
+    swaps: Swaps,
+    bus: str,
+    unit: int,
+    chosen: Chosen,
+) -> Response:
+    """Begin a swap; units are only read. Without a source the form says so at its field."""
     unit_or_404(live, bus, unit)
+    if not chosen.file and not chosen.text:
+        return await _page(request, sets, live, swaps, bus, unit, Message("spare_not_chosen"))
     source = await swaps.source_of(person, bus, unit, chosen)
     await swaps.begin(person, bus, unit, source)
     return RedirectResponse(f"/swap/{bus}/{unit}", 303)

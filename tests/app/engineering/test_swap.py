@@ -386,6 +386,12 @@ async def test_what_names_no_source_begins_nothing(
     assert house.services[SwapService].find(BUS, 2) is None
 
 
+async def test_a_form_without_a_source_says_so_at_its_field(house: House, client: httpx.AsyncClient) -> None:
+    refused = await client.post(SWAP, data={"source": ""})
+    assert (refused.status_code, 'id="source-error">choose the source' in refused.text) == (422, True)
+    assert house.services[SwapService].find(BUS, 2) is None
+
+
 async def test_the_restore_of_a_spare_leads_back_to_the_swap_and_no_other_does(
     house: House, client: httpx.AsyncClient
 ) -> None:
