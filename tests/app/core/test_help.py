@@ -10,8 +10,10 @@ import pytest
 
 from app.core.help.feature import calls_of
 from app.core.help.handbook import BY_NAME, CHAPTERS, MAX_FOUND, Chapter, Handbook, Rendered, render, slug
+from app.core.web.access import Role
 from app.core.web.templating import HELP
 from docs import site
+from tests.app.complete_app import House
 from tests.for_each import for_each
 from tests.test_architecture import ROOT
 
@@ -79,6 +81,15 @@ def test_what_was_typed_is_found_titles_first(handbook: Handbook) -> None:
     assert handbook.search("OUTPUTS names", "en")[0].section.anchor == "a-unit"
     assert handbook.search("the line", "en")[0].section.title.casefold().count("the line")
     assert handbook.search("Bedienhoheit", "de")[0].section.href == "/help/operator#control"
+
+
+async def test_the_list_says_which_chapters_are_in_english(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    german, english = [
+        (await client.get("/help", headers={"Accept-Language": tag})).text for tag in ("de", "en")
+    ]
+    assert 'lang="en">Glossary</a> <small class="quiet">auf Englisch</small>' in german
+    assert ("Für Bediener</a></li>" in german, "in English" in english) == (True, False)
 
 
 def test_markup_in_a_chapter_is_text() -> None:
