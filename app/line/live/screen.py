@@ -316,9 +316,10 @@ def _worn(alarm: Fields, level: Level) -> Fields:
 
 def _says_since(alarm: Fields, cause: Cause | None, bus: str, unit: int) -> bool:
     """Return whether the alarm of a unit is that of its cause and active: its text then has the time."""
-    if cause is None or not _is_active(str(alarm.get("alarm", ""))):
+    row = None if cause is None else TILES.get(cause.code)
+    if row is None or not _is_active(str(alarm.get("alarm", ""))):
         return False
-    return str(alarm.get("alarm_at", "")).startswith(f"/alarms/{bus}.{unit}.{TILES[cause.code].code}.")
+    return str(alarm.get("alarm_at", "")).startswith(f"/alarms/{bus}.{unit}.{row.code}.")
 
 
 @dataclass(slots=True)

@@ -262,6 +262,15 @@ def test_the_alarm_of_a_cause_alone_says_its_time() -> None:
         assert changed["dry/2"]["status"] == f"Still turning: emergency stop {status}"
 
 
+def test_a_unit_that_ramps_beside_an_alarm_is_shown_like_any_other() -> None:
+    live = line()
+    shown = screen(live)
+    shown.sources.unit_alarm = lambda *_: {"alarm": "low", "alarm_at": "/alarms/dry.2.drift.1"}
+    live.buses["dry"].apply([reading(2, at=100.2, outputs=0x40, actual=900)])
+    changed = shown.render("dry", [2], 100.2, include_bus=False)
+    assert changed["dry/2"]["status"].startswith("Ramp")
+
+
 @pytest.mark.parametrize(
     ("mark", "inputs", "worn"),
     [

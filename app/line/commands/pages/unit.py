@@ -369,16 +369,18 @@ async def write_parameter(
     was: Annotated[str, Form(max_length=10)] = "",
 ) -> Response:
     """Send 86h, read back by 85h; a dangerous value only if the word was typed. ``was``: the raw value that
-    the review showed."""
+    the review showed. An undo is checked more strictly when it is sent."""
     parameter = PARAMETERS[number]
     try:
         known = page.unit.parameter_raw(number)
-        if was and known is not None and was != str(known) and not await page.has_sent(confirmed.id):
-            raise Problem(
-                409,
-                "moved",
-                Message.of("parameter_moved", value=parameter_message(parameter, known, page.unit)),
-            )
+        if (
+            known is not None
+            and was not in ("", str(known))
+            and not confirmed.undoes
+            and not await page.has_sent(confirmed.id)
+        ):
+            shown = parameter_message(parameter, known, page.unit)
+            raise Problem(409, "moved", Message.of("parameter_moved", value=shown))
         if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
         action = WriteParameter(unit=page.id, number=number, raw=raw)
