@@ -346,6 +346,21 @@ def test_a_parameter_is_written_and_a_dangerous_one_wants_a_word(site: Site, sha
     expect(page.locator("dialog[open]")).to_have_count(0)
     expect(row).to_contain_text("125")
     assert site.line.remote.do("parameter", unit=2, number=6) == 125
+    with site.api("engineer") as other:
+
+        def write(raw: int) -> None:
+            other.put("/buses/line/units/2/parameters/6", json={"raw": raw}).raise_for_status()
+
+        write(130)
+        row.locator("[name=value]").fill("12.0")
+        row.get_by_role("button", name="Write").click()
+        expect(page.locator("#parameter-6-value")).to_contain_text("13.0")
+        write(140)
+        page.locator("[data-review-act]").click()
+        expect(page.locator("#parameters-result [data-review-done=bad]")).to_contain_text("it is 14.0 now")
+        expect(page.locator("#parameter-6-value")).to_contain_text("14.0")
+        expect(row.locator("[name=value]")).to_have_value("12.0")
+        row.locator("[name=value]").fill("")
     before = site.writes()
     row = page.locator("#parameter-19")
     row.locator("[name=value]").select_option("Local")

@@ -200,3 +200,4 @@ async def test_a_parameter_that_another_person_has_written_meanwhile_is_not_over
     report_parameter(house, 1, 6, 200)
     refused = await browser.post("/units/dry-end/1/parameters/6", data=fields)
     assert (refused.status_code, "it is 20.0 now; nothing was sent" in refused.text) == (409, True)
+    assert re.search(r'hx-target="#parameter-6-value"[^>]*><b>20\.0</b>', refused.text), "in its row too"

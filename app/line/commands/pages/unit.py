@@ -343,6 +343,7 @@ async def review_value(
     return page.review(
         "unit/_review_parameter.html",
         range=_range(page, number),
+        row=_row(page, number),
         unit=page.on_line,
         parameter=parameter,
         raw=raw,
@@ -380,20 +381,25 @@ async def write_parameter(
             and not await page.has_sent(confirmed.id)
         ):
             shown = parameter_message(parameter, known, page.unit)
-            raise Problem(409, "moved", Message.of("parameter_moved", value=shown))
+            outcome = OutcomeText("bad", Message.of("parameter_moved", value=shown))
+            return _written(page, number, raw, outcome, status=409)
         if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
         action = WriteParameter(unit=page.id, number=number, raw=raw)
         result = await page.carry_out(action, confirmed, {page.id: scale})
     except Problem as problem:
         return page.not_sent(problem)
+    return _written(page, number, raw, _outcome(page, parameter, result), undo=page.undo(confirmed.id))
+
+
+def _written(page: UnitPage, number: int, raw: int, outcome: OutcomeText, **more: Any) -> Response:
     return page.render(
         "unit/_parameter_done.html",
-        outcome=_outcome(page, parameter, result),
-        requested=parameter_message(parameter, raw, page.unit),
+        outcome=outcome,
+        requested=parameter_message(PARAMETERS[number], raw, page.unit),
         unit=page.on_line,
         row=_row(page, number),
-        undo=page.undo(confirmed.id),
+        **{"undo": None, **more},
     )
 
 
