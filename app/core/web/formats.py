@@ -156,7 +156,7 @@ class Formats:
     def length(self, length: float, measure: str) -> str:
         """Format a length with its measure."""
         figure, shown = length_shown(length, measure)
-        return f"{self.point(figure)} {shown}"
+        return f"{self.point(figure)}\N{NO-BREAK SPACE}{shown}"
 
     def span(self, start: UnixTime | datetime, end: UnixTime | datetime) -> str:
         """Format two moments to the minute, the second with its date if they are a day or more apart."""

@@ -242,10 +242,10 @@ class DrawChange(NamedTuple):
 
 
 def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]:
-    """Return each draw that these setpoints, raw by unit, move out of its band, or change without a band, in
-    floor order. A unit without a new setpoint stays at its commanded speed. A follower has a ratio: nothing
-    is known of its draw."""
-    changes = []
+    """Return each draw that these setpoints, raw by unit, move out of its band, or change without a band:
+    what is out of its band first, what has no draw now last, each in floor order. A unit without a new
+    setpoint stays at its commanded speed. A follower has a ratio: nothing is known of its draw."""
+    changes: list[tuple[bool, DrawChange]] = []
     for unit, seam in bus.seams.items():
         pair = bus.units[seam.before], bus.units[unit]
         if setpoints.keys().isdisjoint((unit, seam.before)) or any(map(follower, pair)):
@@ -260,8 +260,8 @@ def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]
         if is_out:
             low, high = map(_percent, seam.band)
             text = Message.of("draw_and_band", text=text, low=low, high=high)
-        changes.append(DrawChange(text, is_out))
-    return changes
+        changes.append((now.tenths is None, DrawChange(text, is_out)))
+    return [change for _, change in sorted(changes, key=lambda each: (not each[1].is_out, each[0]))]
 
 
 class DrawSeam(NamedTuple):

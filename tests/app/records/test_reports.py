@@ -110,7 +110,7 @@ async def test_report_sheet_and_list_of_a_shift_begin_with_the_same_figures(hous
     sheet = (await client.get(f"/api/v1/shifts/{shift['start']}")).json()
     assert sheet["line"] == line
     browser = await house.signed_in(Role.VIEWER)
-    shown = "1 stop, 0:00:29 · 0 alarms · 120.2 m"
+    shown = "1 stop, 0:00:29 · 0 alarms · 120.2\N{NO-BREAK SPACE}m"
     assert shown in (await browser.get(f"/shifts/{shift['start']}")).text
     assert shown in (await browser.get("/shifts")).text, "the sheet has read them"
 
