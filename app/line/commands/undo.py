@@ -204,6 +204,14 @@ class UndoOffer:
         return isinstance(self.action, SetSpeed | SetLine)
 
 
+def _has_set(new: Values, result: Result) -> bool:
+    """Return whether a write has set all its values. A broadcast is followed by a read of every unit: it may
+    be unverified for one to which it set nothing."""
+    verified = {each.unit for each in result.units if each.outcome == "verified"}
+    is_of_all = bool(new) and {place.unit for place in new} <= verified
+    return is_of_all or result.outcome in ("verified", "acknowledged")
+
+
 @dataclass(eq=False, slots=True)
 class _Write:
     """A write under way: the values it sets, those just before it, and the scale of both. ``alone``: whether
@@ -244,7 +252,7 @@ class Undoing:
     def end(self, write: _Write, request: CommandRequest, result: Result | None) -> None:
         """Note the values that a write has changed; ``result`` None: it was given up."""
         self._under_way.discard(write)
-        if result is None or result.outcome not in ("verified", "acknowledged"):
+        if result is None or not _has_set(write.new, result):
             return
         self._analog |= {
             place.unit: (raw, unix_now()) for place, raw in write.new.items() if place.kind == "analog"

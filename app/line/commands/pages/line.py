@@ -204,23 +204,27 @@ def proven(
     proofs += [(page.name_of(unit), "", page.outcome_left_out(unit)) for unit in sorted(left_out)]
     return page.render(
         "setpoints/_done.html",
-        outcome=_outcome_of_all(result, len(setpoints)),
+        outcome=outcome_of_all(result, setpoints),
         proofs=proofs,
         undo=page.undo(id),
         skew=None if result.skew_s is None else page.translator.formats.number(result.skew_s * 1000),
     )
 
 
-def _outcome_of_all(result: Result, units: int) -> OutcomeText:
-    """Return the words for the outcome of a change: the number of its units that are verified."""
+def outcome_of_all(result: Result, units: Collection[int]) -> OutcomeText:
+    """Return the words for the outcome of a change: how many of its units are verified. A broadcast is
+    followed by a read of every unit of the bus: of one outside the change only a speed that has moved counts,
+    and not that it does not respond."""
     outcome = outcome_text(result)
-    if result.outcome == "verified":
-        return OutcomeText("good", Message.of("result_of_all", n=units))
-    if result.outcome != "unverified":
+    if result.outcome not in ("verified", "unverified"):
         return outcome
-    good = sum(unit.outcome == "verified" for unit in result.units)
-    counted = Message.of("result_of_some", n=units, good=good)
-    return OutcomeText(outcome.tone, joined((counted, outcome.text)) or counted)
+    unproven = [each for each in result.units if each.outcome != "verified"]
+    counted = [each for each in unproven if each.unit in units or each.read_back is not None]
+    if result.outcome == "verified" or (unproven and not counted):
+        return OutcomeText("good", Message.of("result_of_all", n=len(units)))
+    good = sum(each.outcome == "verified" and each.unit in units for each in result.units)
+    some = Message.of("result_of_some", n=len(units), good=good)
+    return OutcomeText(outcome.tone, joined((some, outcome.text)) or some)
 
 
 ZERO_TITLE = term("Set line to zero")
