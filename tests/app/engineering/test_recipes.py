@@ -290,6 +290,18 @@ async def test_only_what_was_reviewed_is_loaded(house: House, changed: dict[str,
     assert 'data-review-done="bad"' in response.text
 
 
+async def test_the_review_watches_no_unit_that_is_left_out(house: House) -> None:
+    """Its last setpoint would end the review: nothing is known of the present one."""
+    bus = house.services[LiveState].buses["dry-end"]
+    known = [ParameterValue(unit=1, number=number, at=1.0, raw=raw) for number, raw in ((3, 1), (8, 0))]
+    bus.apply([BusLink(at=1.0, link="open"), Reading(1, 1.0, 700, 700, 0, REMOTE, HEALTHY), *known])
+    recipe = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 700})
+    operator = await house.signed_in(Role.OPERATOR)
+    review = await operator.get(f"/recipes/{recipe.id}/review")
+    assert "Leave out Unwind" in review.text
+    assert "data-watch" not in review.text
+
+
 async def test_the_name_of_a_unit_is_no_word_of_the_page(house: House) -> None:
     unit = house.services[LiveState].buses["dry-end"].units[1]
     house.services[LiveState].buses["dry-end"].apply([ParameterValue(unit=1, number=8, at=1, raw=0)])
