@@ -108,6 +108,7 @@ function note(form, found, at) {
       delete field.dataset.touched;
     }
     forget(form);
+    document.dispatchEvent(new CustomEvent("lineside:changed"));
   });
   const text = document.createElement("span");
   text.textContent = word("draftOf", timeOfDay(at));

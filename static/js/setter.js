@@ -279,7 +279,7 @@ export function start() {
   followUnits();
   followDraws();
   markTray();
-  for (const follows of [followUnits, markTray, listenForDraws]) document.addEventListener("lineside:changed", follows);
+  for (const follows of [followUnits, markTray, listenForDraws, showDraws]) document.addEventListener("lineside:changed", follows);
   document.addEventListener("click", stepTyped, { capture: true });
   document.addEventListener("click", (event) => {
     const button = event.target.closest("[data-pad], [data-use], [data-together-do]");

@@ -13,6 +13,8 @@ export const LANE_FILL = 0.7;
 const PRIORITIES = ["urgent", "high", "medium", "low"];
 /** Percent that the name of an alarm needs at least. */
 const LEAST_ROOM = 12;
+/** Pixels right of the chart that are room enough for the name of an alarm that goes on. */
+const LEAST_BESIDE = 120;
 /** Percent from one mark of a row to the next that is drawn: nearer ones would hide each other. */
 const LEAST_APART = 3;
 
@@ -130,7 +132,8 @@ function lanes(trends, beside) {
       const [isBefore, isLast] = [room < LEAST_ROOM && before >= 2 * LEAST_ROOM, end + room >= 100];
       if (isBefore) return [part("trends__who", { right: 100 - x, top: top(row), "max-width": before < x ? before / 2 : x }, ...givingWay(label)), mark];
       const most = isLast ? `calc(${room}% + ${beside}px)` : room < 2 * LEAST_ROOM ? room : room / 2;
-      return room < LEAST_ROOM ? [mark] : [part("trends__who", { left: end, top: top(row), "max-width": most }, ...givingWay(label)), mark];
+      const isNamed = room >= LEAST_ROOM || (isLast && beside >= LEAST_BESIDE);
+      return !isNamed ? [mark] : [part("trends__who", { left: end, top: top(row), "max-width": most }, ...givingWay(label)), mark];
     }),
     ...notes.flatMap(({ t }, index) => {
       const flag = part("trends__flag", { left: left(t), top: top(rows) }, part("", {}, String(index + 1)));

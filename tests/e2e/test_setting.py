@@ -325,6 +325,13 @@ def test_what_a_button_entered_is_kept_for_the_next_page_and_what_it_cleared_is_
     opened(page, "/setpoints")
     assert [field.input_value() for field in fields] == typed
     assert all(typed)
+    draw = page.locator("[data-draw='line/1 line/2'] .draw-typed__new")
+    expect(draw).to_contain_text("%")
+    page.get_by_role("button", name="Discard draft").click()
+    expect(draw).to_be_empty()
+    assert [field.input_value() for field in fields] == ["", ""]
+    page.locator("tr[data-unit='line/2'] [data-tick]").check()
+    page.locator('[data-together-do="step"][data-by="+5"]').click()
     page.locator('[data-together-do="clear"]').click()
     opened(page, "/setpoints")
     assert [field.input_value() for field in fields] == ["", ""]
