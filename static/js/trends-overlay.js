@@ -11,6 +11,8 @@ const [NAME, HAIR, LEAST_NAME] = [17, 12, 53];
 /** How much of the height of its lane a bit takes. */
 export const LANE_FILL = 0.7;
 const PRIORITIES = ["urgent", "high", "medium", "low"];
+/** More alarms of one priority at a time share its last row. */
+const ROWS_OF_PRIORITY = 2;
 /** Percent that the name of an alarm needs at least. */
 const LEAST_ROOM = 12;
 /** Pixels right of the chart that are room enough for the name of an alarm that goes on. */
@@ -21,16 +23,29 @@ const LEAST_APART = 3;
 /** Where a time is in a span, in percent; what is outside is at its end. @param {Span} span */
 const percentIn = ([from, to]) => /** @param {number} t */ (t) => (100 * (Math.min(Math.max(t, from), to) - from)) / (to - from);
 
-/** Where each alarm of a span begins and ends, and whose it is: `row` counts the priorities that occur, the most important at
- * the top; `room` and `before` are how much is free after and before it in its row. That of a lower row is drawn over the area of a finger of the one above.
+/** Where each alarm of a span begins and ends, and whose it is: `row` counts from the top, the most important priority first, and
+ * a second row of a priority has what began while one of the first lasted; `room` and `before` are how much is free after and
+ * before it in its row. That of a lower row is drawn over the area of a finger of the one above.
  * @param {Alarm[]} alarms @param {Span} span @returns {PlacedAlarm[]} */
 export function placed(alarms, [from, to]) {
   const percent = percentIn([from, to]);
   const shown = alarms.map((alarm, index) => ({ ...alarm, index })).filter(({ t, until }) => t < to && (until ?? to) > from);
-  const rows = PRIORITIES.filter((priority) => shown.some((alarm) => alarm.priority === priority));
-  const marks = shown.map((alarm) => {
-    const label = [alarm.place, alarm.name].filter(Boolean).join(" · ");
-    return { ...alarm, row: rows.indexOf(alarm.priority), x: percent(alarm.t), end: percent(alarm.until ?? to), label };
+  let rows = 0;
+  const marks = PRIORITIES.flatMap((priority) => {
+    const first = rows;
+    /** @type {number[]} */
+    const ends = [];
+    const of = shown.filter((alarm) => alarm.priority === priority).sort((one, other) => one.t - other.t);
+    const found = of.map((alarm) => {
+      const label = [alarm.place, alarm.name].filter(Boolean).join(" · ");
+      const [x, end] = [percent(alarm.t), percent(alarm.until ?? to)];
+      const free = ends.findIndex((last) => last <= x);
+      const part = free >= 0 ? free : Math.min(ends.length, ROWS_OF_PRIORITY - 1);
+      ends[part] = Math.max(ends[part] ?? 0, end);
+      return { ...alarm, row: first + part, x, end, label };
+    });
+    rows += ends.length;
+    return found;
   });
   return marks
     .map((mark) => {
@@ -107,7 +122,7 @@ function lines(trends) {
   ];
 }
 
-/** What is above the chart: a row for each priority of alarms, and one of notes. A name without room after its line stands before it,
+/** What is above the chart: one or two rows for each priority of alarms, and one of notes. A name without room after its line stands before it,
  * in a gap that is wide enough for two. The last name of a row may go on over the room right of the chart. @param {Trends} trends @param {number} beside that room, in pixels */
 function lanes(trends, beside) {
   const { range, words } = trends;

@@ -27,6 +27,11 @@ test("the rows are those of the priorities that occur, and a lower one is drawn 
   ]);
 });
 
+test("two of one priority at a time have a row each, more of them share the second", () => {
+  const rows = drawn([alarm("low", 110, 150), alarm("low", 120, null), alarm("low", 130, null), alarm("low", 150, 160)]);
+  assert.deepEqual(rows.map(([, row, x]) => [row, x]), [[0, 10], [0, 50], [1, 20], [1, 30]]);
+});
+
 test("their lane has a row before the first alarm came", () => {
   assert.equal(alarmRows([], [100, 200]), 1);
   assert.equal(alarmRows([alarm("urgent", 110, 120), alarm("low", 110, null)], [100, 200]), 2);
