@@ -14,15 +14,14 @@ from app.core.web.access import Person
 from app.core.web.arrival import Deadline
 from app.core.web.routes import GuardedRoute
 from app.core.web.shape import parse_integer
-from app.core.web.templating import render
 from app.engineering.sets.model import UnitRows, known_rows, status_of, with_unit
 from app.errors import Problem
 from app.line.commands.effects import OPERATING_VALUES, effect_message, warning_of
-from app.line.commands.service import Commands, CommandService, ParameterWriter
+from app.line.commands.page_context import PageOfBus
+from app.line.commands.review import by_remark
+from app.line.commands.service import CommandService, ParameterWriter
 from app.line.commands.values import parameter_scale
-from app.line.live.api.routes import Live
-from app.line.live.bus_live import BusLive, UnitLive
-from app.line.live.requests import bus_or_404
+from app.line.live.bus_live import BusLive, UnitLive, is_driven
 from bus.catalogue.parameters import (
     DECIMALS,
     FOLLOWER_MODE,
@@ -147,7 +146,7 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
     except CallerError as error:
         return replace(row, fault=error.message)
     shown = _shown(parameter, wanted, known)
-    warning = warning_of(parameter.number, wanted, running=None if status is None else status.run)
+    warning = warning_of(parameter.number, wanted, running=None if status is None else is_driven(status))
     scale = parameter_scale(unit, parameter.number, wanted)
     return replace(row, wanted=wanted, scale=scale, shown=shown, warning=warning)
 
@@ -173,44 +172,56 @@ router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
 
 @router.get("/batch/{bus}")
-async def batch_page(
-    request: Request, person: ParameterWriter, live: Live, commands: Commands, bus: str, number: int = 6
-) -> Response:
+async def batch_page(person: ParameterWriter, page: PageOfBus, number: int = 6) -> Response:
     """Show the values of one parameter in all units; read those that were never read."""
     parameter = writable_or_404(number)
-    await learn(commands, person, bus_or_404(live, bus), number)
-    rows = rows_of_batch(live.buses[bus], number, {})
-    writable = [each for each in PARAMETERS.values() if not each.never_writable]
-    return render(
-        request, "sets/batch.html", bus=bus, parameter=parameter, rows=rows, parameters=writable, results=[]
+    await learn(page.commands, person, page.bus, number)
+    return page.render(
+        "sets/batch.html",
+        fields=page.fields(),
+        bus=page.name,
+        parameter=parameter,
+        rows=rows_of_batch(page.bus, number, {}),
+        parameters=[each for each in PARAMETERS.values() if not each.never_writable],
     )
 
 
 @router.post("/batch/{bus}/review")
-async def batch_review(request: Request, _: ParameterWriter, live: Live, bus: str) -> Response:
-    """Show row by row the writes that would be sent; send none."""
+async def batch_review(request: Request, _: ParameterWriter, page: PageOfBus) -> Response:
+    """Show row by row the writes that would be sent, and which units take none and why; send none."""
     number, typed = await typed_batch(request)
     parameter = writable_or_404(number)
-    rows = rows_of_batch(bus_or_404(live, bus), number, typed)
-    danger = effect_message("setpoint") if number in OPERATING_VALUES else parameter.dangerous
-    return render(request, "sets/_batch_review.html", bus=bus, parameter=parameter, rows=rows, danger=danger)
+    rows = rows_of_batch(page.bus, number, typed)
+    unable = {row.unit: reason for row in rows if row.typed and (reason := page.obstacle(row.unit))}
+    return page.render(
+        "sets/_batch_review.html",
+        bus=page.name,
+        parameter=parameter,
+        rows=[row for row in rows if row.typed and row.unit not in unable],
+        left_out=by_remark((row.name, unable[row.unit]) for row in rows if row.unit in unable),
+        danger=effect_message("setpoint") if number in OPERATING_VALUES else parameter.dangerous,
+    )
 
 
 @router.post("/batch/{bus}/write")
-async def batch_write(
-    request: Request, person: ParameterWriter, live: Live, commands: Commands, bus: str
-) -> Response:
+async def batch_write(request: Request, person: ParameterWriter, page: PageOfBus) -> Response:
     """Write the values that the review showed."""
     number, typed = await typed_batch(request)
     parameter = writable_or_404(number)
-    rows = rows_of_batch(bus_or_404(live, bus), number, typed)
+    rows = rows_of_batch(page.bus, number, typed)
     if any(row.fault for row in rows):
         raise Problem(422, "invalid", Message("value_not_writable"))
     refuse_moved(rows, _by_unit(await request.form(), "was-"))
-    results = await write_batch(commands, person, number, rows, confirm=bool(parameter.dangerous))
+    results = await write_batch(page.commands, person, number, rows, confirm=bool(parameter.dangerous))
     undone = {result.unit for result in results if result.outcome != "verified"}
-    rows = rows_of_batch(live.buses[bus], number, {unit: typed[unit] for unit in undone})
-    return render(request, "sets/_batch_done.html", parameter=parameter, results=results, rows=rows)
+    return page.render(
+        "sets/_batch_done.html",
+        fields=page.fields(),
+        bus=page.name,
+        parameter=parameter,
+        results=results,
+        rows=rows_of_batch(page.bus, number, {unit: typed[unit] for unit in undone}),
+    )
 
 
 async def typed_batch(request: Request) -> tuple[int, dict[int, str]]:

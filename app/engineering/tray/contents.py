@@ -18,7 +18,7 @@ from app.line.commands.effects import warning_of
 from app.line.commands.review import SetpointChange
 from app.line.commands.undo import PlaceKind, ValuePlace, Values
 from app.line.commands.values import measure_of_value, parameter_message
-from app.line.live.bus_live import BusLive, UnitLive, follower
+from app.line.live.bus_live import BusLive, UnitLive, follower, is_driven
 from bus.catalogue.parameters import PARAMETERS, danger_of_writing
 from bus.contract import UnitScale
 from bus.instants import Monotonic
@@ -193,7 +193,7 @@ def value_row(place: ValuePlace, raw: int, was: int | None, bus: BusLive, refusa
             effect=Message("tray_analog_unread"),
         )
     parameter, status = PARAMETERS[place.number], status_of(bus, unit)
-    warning = warning_of(parameter.number, raw, running=None if status is None else status.run)
+    warning = warning_of(parameter.number, raw, running=None if status is None else is_driven(status))
     return TrayRow(
         *common,
         what=Message.of("tray_parameter", number=parameter.number, called=parameter.name),

@@ -48,7 +48,7 @@ def effect_message(effect: Effect) -> Message:
 def warning_of(number: int, raw: int, *, running: bool | None) -> Message | None:
     """Return the warning that a person must see before ``raw`` is written; None if it has no effect.
 
-    ``running``: the Run input of the unit; None (not known) counts as running.
+    ``running``: whether the drive may move its motor; None (not known) counts as running.
     """
     effect = EFFECTS.get(number)
     if effect == "ramp" and raw == 0:

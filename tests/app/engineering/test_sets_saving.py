@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import httpx
 import pytest
 
 from app.core.web.access import Person, Role
@@ -17,6 +18,7 @@ from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, UnitLink, UnitLinkState
 from bus.messages import Message
+from tests.app.complete_app import House
 from tests.app.played_commands import ANNA, PlayedCommands, SetScene, a_bus, factory, responding
 from tests.app.screens import translator
 
@@ -312,6 +314,19 @@ def test_a_value_that_moved_since_the_review_is_not_written() -> None:
     with pytest.raises(Problem, match="Unwind: the value has changed") as refused:
         refuse_moved(typed(live, 6, "20", ""), reviewed)
     assert (refused.value.status, refused.value.code) == (409, "moved")
+
+
+async def test_the_review_counts_only_the_units_that_take_the_value(
+    house: House, client: httpx.AsyncClient
+) -> None:
+    live, origin = house.services[LiveState], {"Origin": str(client.base_url)}
+    responding(live)
+    live.buses["dry-end"].apply([UnitLink(unit=2, at=2.0, link="offline")])
+    form = {"number": "6", "unit-1": "20", "unit-2": "30"}
+    review = (await client.post("/batch/dry-end/review", data=form, headers=origin)).text
+    assert "Write Acceleration Ramp Rate to 1 unit<" in review
+    assert ("unit-1" in review, "unit-2" in review) == (True, False)
+    assert 'data-remark="obstacle_offline"' in review
 
 
 def test_the_review_of_a_secret_holds_nothing_of_it() -> None:

@@ -35,7 +35,7 @@ from app.line.commands.values import (
 )
 from app.line.conditions.condition import follower
 from app.line.live.api.view import parameter_json
-from app.line.live.bus_live import UnitLive, bits_of, setpoint_decimals
+from app.line.live.bus_live import UnitLive, bits_of, is_driven, setpoint_decimals
 from bus.catalogue.parameters import (
     ANALOG_OUT_HIGH,
     ANALOG_OUT_LOW,
@@ -338,7 +338,7 @@ async def review_value(
         await page.commands.read(page.person, page.id, [number], page.deadline())
     known = page.unit.parameter_raw(number)
     reading = page.unit.reading
-    running = None if reading is None else bits_of(page.bus, reading).run
+    running = None if reading is None else is_driven(bits_of(page.bus, reading))
     warning = warning_of(number, raw, running=running)
     return page.review(
         "unit/_review_parameter.html",
