@@ -328,6 +328,10 @@ def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by
     assert site.writes() == before
     opened(page, "/units/line/1")
     page.get_by_role("button", name="Lift the command block of Unwind").click()
+    expect(page.locator("dialog[open]")).to_contain_text("belt off since 14:20")
+    expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+    page.get_by_role("button", name="Lift the command block", exact=True).click()
+    expect(page.locator("#setpoint-error")).to_contain_text("Command block lifted: belt off since 14:20")
     expect(page.locator("#setpoint")).to_be_visible()
     with site.api() as client:
         events = client.get("/events", params={"kind": "block", "limit": 2}).json()["events"]

@@ -19,7 +19,7 @@ from app.line.live.sources import BusControl
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
 from app.people.auth.rights import Rights
-from bus.instants import monotonic_now, unix_now
+from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message, term
 from bus.pacing import Bucket
 
@@ -44,6 +44,7 @@ ACTS = (
     *(REQUEST_CONTROL, GRANT_CONTROL, END_CONTROL_REQUEST),
 )
 SIGNED_OUT = Message("holder_signed_out")
+LIFTED_SHOWN_S = 60.0
 REQUEST_EVERY_S, MAX_REQUESTS = 10.0, 6
 """The rate of requests for control of a bus, and the most at once: each one disturbs a person."""
 AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
@@ -71,6 +72,8 @@ class Safeguards:
         self._rights = rights
         self.restrictions = Restrictions(database, bus)
         self.control = Control(required=control_required)
+        self._lifted: dict[int, tuple[CommandBlock, UnixTime]] = {}
+        """The block that was lifted last of each unit, and when."""
         self._block_subscribers: list[Callable[[int], None]] = []
         self._control_subscribers: list[Callable[[], None]] = []
         self._read_only_ends: asyncio.TimerHandle | None = None
@@ -100,6 +103,11 @@ class Safeguards:
     def block_of(self, unit: int) -> CommandBlock | None:
         """Return the block of a unit, or None."""
         return self.restrictions.block(unit)
+
+    def lifted(self, unit: int) -> CommandBlock | None:
+        """Return the block of a unit that was lifted within the last minute and not set again."""
+        block, at = self._lifted.get(unit, (None, UnixTime(0.0)))
+        return block if unix_now() - at < LIFTED_SHOWN_S and self.block_of(unit) is None else None
 
     def read_only(self) -> ReadOnly | None:
         """Return the read-only mode of the bus, with its reason and who set it; None if commands are
@@ -134,6 +142,7 @@ class Safeguards:
         if before is None:
             return
         await self.restrictions.lift_block(unit)
+        self._lifted[unit] = before, unix_now()
         self._publish_block(unit)
         await self._record(UNBLOCK, person, before.reason, None, unit)
 

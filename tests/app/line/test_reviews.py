@@ -201,3 +201,19 @@ async def test_a_parameter_that_another_person_has_written_meanwhile_is_not_over
     refused = await browser.post("/units/dry-end/1/parameters/6", data=fields)
     assert (refused.status_code, "it is 20.0 now; nothing was sent" in refused.text) == (409, True)
     assert re.search(r'hx-target="#parameter-6-value"[^>]*><b>20\.0</b>', refused.text), "in its row too"
+
+
+async def test_a_block_is_lifted_behind_a_review_of_that_block(house: House) -> None:
+    lift = "/units/dry-end/1/unblock"
+    guards = house.services.buses["dry-end"][Safeguards]
+    await guards.block(ANNA, 1, "belt off")
+    page = (await operator(house).get(lift)).text
+    assert "belt off" in page
+    assert ANNA.name in page
+    form = dict(re.findall(r'name="(\w+)" value="([^"]*)"', page))
+    await guards.block(ANNA, 1, "felt off")
+    refused = await operator(house).post(lift, data=form)
+    assert (refused.status_code, guards.block_of(1) is None) == (409, False)
+    form = dict(re.findall(r'name="(\w+)" value="([^"]*)"', (await operator(house).get(lift)).text))
+    assert (await operator(house).post(lift, data=form)).headers["HX-Redirect"] == "/units/dry-end/1"
+    assert "felt off" in (await operator(house).get("/units/dry-end/1")).text

@@ -47,6 +47,7 @@ from bus.catalogue.parameters import (
 from bus.catalogue.values import analog_output_volts, output_is_on, speed_raw, speed_text
 from bus.contract import ReadParameters, Result, UnitScale, WriteAnalogOutput, WriteOutput, WriteParameter
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import NUMBER, Message, number, term
 from bus.validation import OneLine
 
@@ -128,11 +129,32 @@ async def block(
     return RedirectResponse(page.on_line.href, SEE_OTHER)
 
 
+@router.get("/unblock", dependencies=[UNBLOCK.permitted])
+async def review_unblock(page: PageOfUnit) -> Response:
+    """Review the end of a block: its reason, who set it, what becomes possible."""
+    block = page.guards.block_of(page.id)
+    if block is None:
+        return Response(headers={"HX-Redirect": page.on_line.href})
+    return page.review("unit/_review_unblock.html", unit=page.on_line, block=block, fields=page.fields())
+
+
 @router.post("/unblock")
-async def unblock(person: Annotated[Person, UNBLOCK.permitted], page: PageOfUnit) -> Response:
-    """Lift the block of commands; the event records the user."""
+async def unblock(
+    person: Annotated[Person, UNBLOCK.permitted],
+    page: PageOfUnit,
+    confirmed: Confirmed,
+    set_at: Annotated[UnixTime, Form()],
+) -> Response:
+    """Lift the block that was reviewed, which was set at ``set_at``; the event records the user."""
+    try:
+        confirmed.refuse_lapsed()
+        block = page.guards.block_of(page.id)
+        if block is not None and block.set_at != set_at:
+            raise Problem(409, "moved", Message("block_moved"))
+    except Problem as problem:
+        return page.refused(problem, page.title)
     await page.guards.lift(person, page.id)
-    return RedirectResponse(page.on_line.href, SEE_OTHER)
+    return Response(headers={"HX-Redirect": page.on_line.href})
 
 
 @router.get("/faceplate")
@@ -161,6 +183,7 @@ def setting(page: UnitPage) -> dict[str, Any]:
         "scale": scale_text(setpoint_scale(page.unit, 1)),
         "nudges": [(sign * step, page.setpoint(step), sign) for sign, step in steps],
         "block": page.guards.block_of(page.id),
+        "lifted": page.guards.lifted(page.id),
         "draws": dict.fromkeys(seam for seam in seams if seam is not None),
     }
 
