@@ -206,7 +206,9 @@ function showDraw(place) {
   const units = (place.dataset.draw ?? "").split(" ");
   const entered = units.map(enteredFor);
   const [before, section] = units.map((unit, at) => (Number.isNaN(entered[at]) ? presentOf(unit) : entered[at]));
-  const tenths = entered.every(Number.isNaN) ? Number.NaN : drawTenths(before, section);
+  // Of values that are old there is none.
+  const isOld = units.some((unit) => !["online", undefined].includes(value(`${unit}.link`)));
+  const tenths = isOld || entered.every(Number.isNaN) ? Number.NaN : drawTenths(before, section);
   const [low, high] = (place.dataset.band ?? "-Infinity Infinity").split(" ").map(Number);
   const sign = tenths > 0 ? "+" : tenths < 0 ? "−" : "±";
   const text = `${sign}${(Math.abs(tenths) / 10).toFixed(1).replace(".", DECIMAL_SIGN)} %`;
@@ -229,7 +231,7 @@ function listenForDraws() {
   for (const unit of places.flatMap(({ dataset }) => (dataset.draw ?? "").split(" "))) {
     if (drawnUnits.has(unit)) continue;
     drawnUnits.add(unit);
-    listen(unit, (_, changed) => ("setpoint" in changed || "actual" in changed) && showDraws());
+    listen(unit, (_, changed) => ["setpoint", "actual", "link"].some((field) => field in changed) && showDraws());
   }
 }
 

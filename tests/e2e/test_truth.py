@@ -54,11 +54,24 @@ def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
     assert not page.locator("form.setter").evaluate("form => form.inert")
 
 
-def test_a_pulled_cable_is_one_cause(own_site: Site, shared_page: OpensPages) -> None:
+def test_a_pulled_cable_is_one_cause(
+    own_site: Site, shared_page: OpensPages, browser_page: OpensPages
+) -> None:
     page = opened(shared_page("engineer", site=own_site, viewport=PANEL), "/trends?span=600")
     expect(page.locator("#trend-legend .value__number").first).to_contain_text(re.compile(r"\d"))
+    setpoints = opened(browser_page("engineer", site=own_site, viewport=PANEL), "/setpoints")
+    typed = setpoints.locator("[data-new='line/2']")
+    new_draw = setpoints.locator(".draw-typed__new:not(:empty)")
+    typed.fill("121")
+    expect(new_draw).not_to_have_count(0)
     own_site.line.remote.do("unplug")
     try:
+        expect(new_draw).to_have_count(0)
+        rows = setpoints.locator("tr[data-unit]")
+        rows.evaluate_all("all => all.forEach(row => { row.dataset.quality = 'offline' })")
+        expect(typed).to_be_visible()
+        expect(typed).to_have_value("121")
+        expect(setpoints.locator("[data-unit='line/1'] .setpoints__silent")).to_be_visible()
         expect(page.locator("#trend-legend [data-quality=stale] .age")).to_have_count(3)
         expect(page.locator("#trend-legend .age").first).to_have_text(re.compile(r"^\d\.\d s ago$"))
         opened(page, "/")
