@@ -69,6 +69,7 @@ NEEDS_MORE = {
     "/bus/{bus}/undo/{id}": "a command that can be undone",
     "/bus/{bus}/tray/review": "a change in the tray",
     "/bus/{bus}/staged/review": "a staged setpoint",
+    "/units/{bus}/{unit:int}/unblock": "a command block",
     "/configuration/versions/{number}": "a change of the configuration",
     "/notifications/acknowledge": "the link of a mail",
     "/offline": "no link: the service worker",

@@ -117,7 +117,12 @@ NO_PAGES = frozenset(
         *("/shifts/pictures/{digest}", "/shifts/present", "/static/{version}/{name:path}", "/sw.js"),
         *("/swap/{bus}/{unit}/look", "/tray/strip", "/units/{bus}/{unit:int}/execute"),
         *("/units/{bus}/{unit:int}/faceplate", "/units/{bus}/{unit:int}/outputs/{number:int}"),
-        *("/units/{bus}/{unit}/drift", "/users/tokens/{name}/revoke", "/users/{name}/remove"),
+        *(
+            "/units/{bus}/{unit:int}/unblock",
+            "/units/{bus}/{unit}/drift",
+            "/users/tokens/{name}/revoke",
+            "/users/{name}/remove",
+        ),
     }
 )
 """Routes of files, redirections and parts of pages."""
