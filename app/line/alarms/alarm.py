@@ -114,8 +114,8 @@ class Alarm:
 
     @property
     def state_at(self) -> UnixTime | None:
-        """The time of the present state: when a cleared alarm cleared, since when one is unknown, else when
-        it came."""
+        """Return the time of the present state: when a cleared alarm cleared, since when an unknown one is
+        unknown, else when it came."""
         facts = self.facts
         at = (facts.unknown_since or facts.came) if facts.active else facts.cleared
         return at or facts.since

@@ -277,7 +277,7 @@ _BESIDE_RUNNING = frozenset(("not_in_remote", "blocked", "drift"))
 
 
 def is_beside_running(cause: Cause | None) -> bool:
-    """Return whether a cause is of low priority and says nothing of how its unit runs: it is no verdict."""
+    """Return whether a cause has low priority and does not affect how its unit runs."""
     return cause is not None and cause.level == "low" and cause.code in _BESIDE_RUNNING
 
 
