@@ -42,6 +42,8 @@ function refuse(event) {
     (field.type === "checkbox" ? unticked : field.validity.valueMissing ? missing : field.dataset.malformed) ?? "";
   refusals.set(field, refusal);
   (field.closest(".check") ?? field).after(refusal);
+  // The buttons of a review lie over what is at its foot.
+  if (isFirst && field.closest("dialog")) refusal.scrollIntoView({ block: "center" });
   field.setAttribute("aria-invalid", "true");
   field.ariaDescription = refusal.textContent;
 }

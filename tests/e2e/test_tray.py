@@ -118,10 +118,14 @@ def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
     act = page.locator("[data-review-act]")
     expect(act).to_have_text("Send 4 changes")
     expect(page.locator("#review")).to_contain_text("Dryer 2 not possible: not in REMOTE")
+    box = page.get_by_label("Leave out Dryer 2")
+    place = box.bounding_box()
     act.click()
     expect(page.locator("[data-review]:not([data-pending])")).to_be_visible()
+    expect(page.get_by_text("Not sent: this box is not ticked.")).to_be_in_viewport()
+    assert box.bounding_box() == place, "the refusal is below it and moves nothing"
     assert len(writes(site)) == sent, "all of them or none"
-    page.get_by_label("Leave out Dryer 2").check()
+    box.check()
     send(page)
     expect(page.locator("[data-review-done=good]")).to_contain_text("4 changes made")
     expect(page.locator("#tray-result")).to_contain_text("left out: not in REMOTE")

@@ -243,9 +243,11 @@ class DrawChange(NamedTuple):
 
 def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]:
     """Return each draw that these setpoints, raw by unit, move out of its band, or change without a band:
-    what is out of its band first, what has no draw now last, each in floor order. A unit without a new
-    setpoint stays at its commanded speed. A follower has a ratio: nothing is known of its draw."""
+    what is out of its band first, what has no draw now after it, each in floor order, and in one line those
+    beside a standing unit that stay as commanded. A unit without a new setpoint stays at its commanded speed.
+    A follower has a ratio: nothing is known of its draw."""
     changes: list[tuple[bool, DrawChange]] = []
+    staying: list[str] = []
     for unit, seam in bus.seams.items():
         pair = bus.units[seam.before], bus.units[unit]
         if setpoints.keys().isdisjoint((unit, seam.before)) or any(map(follower, pair)):
@@ -254,6 +256,10 @@ def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]
         if then.tenths is None or then.tenths == now.tenths or then.state == "in_band":
             continue
         is_out = then.state == "out_of_band"
+        commanded = _draw(bus, pair, seam, _commanded(pair))
+        if now.tenths is None and not is_out and then.tenths == commanded.tenths:
+            staying.append(bus.units[unit].settings.name)
+            continue
         text = _draw_text(*pair, setpoints, _percent(percent_of(then.tenths), "+"))
         if now.tenths is not None:
             text = Message.of("draw_instead_of", text=text, now=_percent(percent_of(now.tenths), "+"))
@@ -261,7 +267,17 @@ def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]
             low, high = map(_percent, seam.band)
             text = Message.of("draw_and_band", text=text, low=low, high=high)
         changes.append((now.tenths is None, DrawChange(text, is_out)))
-    return [change for _, change in sorted(changes, key=lambda each: (not each[1].is_out, each[0]))]
+    found = [change for _, change in sorted(changes, key=lambda each: (not each[1].is_out, each[0]))]
+    return [*found, DrawChange(Message.of("draws_stay", names=staying), False)] if staying else found
+
+
+def _commanded(units: Iterable[UnitLive]) -> dict[int, int]:
+    """Return the commanded setpoints, raw by unit, also of those that stand."""
+    return {
+        unit.settings.id: unit.reading.commanded
+        for unit in units
+        if unit.reading is not None and unit.reading.commanded is not None
+    }
 
 
 class DrawSeam(NamedTuple):

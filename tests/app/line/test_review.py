@@ -205,6 +205,15 @@ def test_of_followers_standing_units_and_unknown_speeds_nothing_is_stated() -> N
     assert texts(bus, {3: 1300}) == []
 
 
+def test_beside_a_standing_unit_the_draws_that_stay_as_commanded_are_one_line_and_last() -> None:
+    bus = at_120()
+    bus.apply([reading(2, 100.0, 1200, 0)])
+    assert texts(bus, {1: 1212, 2: 1212}) == [
+        ("Unit 3 stays at 120.0 m/min: draw \N{MINUS SIGN}1.0 %", False),
+        ("draw stays as commanded: Unit 2", False),
+    ]
+
+
 def test_an_offline_neighbor_keeps_its_speed() -> None:
     bus = at_120(**BANDED)
     bus.apply([UnitLink(unit=4, at=100.0, link="offline")])
