@@ -36,7 +36,7 @@ from app.line.commands.service import END_SCAN, Commands, CommandService, permit
 from app.line.commands.trace_file import trace_line
 from app.line.feed.bus_feed import HeldSpeeds
 from app.line.feed.channel import Channel
-from app.line.live.bus_live import BusLive, LiveState, UnitLive, units_staged
+from app.line.live.bus_live import BusLive, LiveState, UnitLive, staged_units
 from app.line.live.fields import unit_key
 from app.line.live.hub import Hub
 from app.line.live.sources import Sources
@@ -144,17 +144,8 @@ def make(services: Services) -> None:
         of_bus.add(CommandService(live, channel, record, guards, rights, held))
     all_guards = services.of_buses(Safeguards).values()
     lives = services.of_buses(BusLive)
-    services[Templates].parts["staged"] = lambda *_: [
-        StagedCount(name, n) for name, live in lives.items() if (n := units_staged(live))
-    ]
+    services[Templates].parts["staged"] = lambda *_: staged_units(lives.values(), unix_now())
     services[Templates].parts["controls"] = lambda *_: [guards.bus_control() for guards in all_guards]
-
-
-class StagedCount(NamedTuple):
-    """The number of units of a bus that hold a setpoint that is not executed."""
-
-    bus: str
-    units: int
 
 
 class _Page(NamedTuple):

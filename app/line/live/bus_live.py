@@ -532,9 +532,32 @@ def figures_now(bus: BusLive, now: UnixTime) -> BusFigures | None:
     return None if bus.link.link == "closed" or worker_timed_out(bus, now) else bus.figures
 
 
-def units_staged(bus: BusLive) -> int:
-    """Return the number of units that hold, or may hold, a staged setpoint."""
-    return len(held_units(bus))
+class StagedUnits(NamedTuple):
+    """The names of the units of a bus that hold a staged setpoint. ``unknown``: those that may hold one that
+    nobody knows any more; ``silent``: those of both without live values."""
+
+    bus: str
+    known: list[str]
+    unknown: list[str]
+    silent: list[str]
+
+    @property
+    def key(self) -> str:
+        """What the strip of staged setpoints shows of the bus: it is drawn again when this changes."""
+        return "; ".join([self.bus, *map(", ".join, self[1:])])
+
+
+def staged_units(buses: Iterable[BusLive], now: UnixTime) -> list[StagedUnits]:
+    """Return what is staged on each bus that has anything staged."""
+    found = []
+    for bus in buses:
+        held = [bus.units[number] for number in held_units(bus)]
+        if held:
+            unknown = [unit.settings.name for unit in held if unit.staged_unknown]
+            known = [unit.settings.name for unit in held if not unit.staged_unknown]
+            silent = [unit.settings.name for unit in held if unit_link_now(bus, unit, now) != "online"]
+            found.append(StagedUnits(bus.settings.name, known, unknown, silent))
+    return found
 
 
 def held_units(bus: BusLive) -> list[int]:

@@ -27,8 +27,8 @@ from app.line.live.bus_live import (
     figures_now,
     follower,
     speed_decimals,
+    staged_units,
     unit_link_now,
-    units_staged,
 )
 from app.line.live.diagnosis import (
     Cause,
@@ -146,7 +146,7 @@ def line_fields(
         "counts": translator.t(Message.of("line_abnormal", n=abnormal)) if abnormal else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
         "abnormal": f"{abnormal}",
-        "staged": f"{sum(map(units_staged, buses.values())) or ''}",
+        "staged": " | ".join(each.key for each in staged_units(buses.values(), now)),
         "named": " · ".join(
             [
                 *_named(found, worst.key if worst else "", said, views, translator, now),

@@ -42,13 +42,15 @@ from bus.contract import (
     Reading,
     SetLine,
     SetSpeed,
+    Staged,
+    UnitLink,
     UnitOutcome,
     Update,
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
 )
-from bus.instants import Monotonic, monotonic_now
+from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message, in_english
 from bus.settings import UnitLabels
 from tests.app.complete_app import HOST, House, complete_app
@@ -438,6 +440,26 @@ async def test_each_way_to_set_a_value_adds_to_the_tray(house: House) -> None:
     assert "6 changes" in strip.text
     assert "2 units" in strip.text
     assert "/bus/dry-end/tray/review" in strip.text
+
+
+async def test_what_is_staged_and_not_known_any_more_is_not_offered(house: House) -> None:
+    """Execute is off while a unit is silent, and gone once nobody knows what one would execute."""
+    live, now = house.services[LiveState].buses["dry-end"], unix_now()
+    name = live.units[1].settings.name
+
+    async def strip(*updates: Update) -> str:
+        live.apply(updates)
+        return (await house.clients[0].get("/tray/strip")).text
+
+    assert "disabled" not in await strip(Staged(1, now, 700), Staged(2, now, 800))
+    off = await strip(UnitLink(1, now, "stale"))
+    assert name in off
+    assert off.count("disabled") == 1
+    lost = await strip(Staged(1, now, None, unknown=True))
+    assert "stage it again" in lost
+    assert "/staged/review" not in lost
+    refused = await house.clients[0].get("/bus/dry-end/staged/review", headers=OF_PAGE)
+    assert name in refused.text
 
 
 @for_each(

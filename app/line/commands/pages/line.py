@@ -41,7 +41,7 @@ from app.line.commands.rules import commanded_setpoint, setpoint_parameter, setp
 from app.line.commands.service import permitted
 from app.line.commands.values import Scales, measure_of_setpoint, parse_scale, setpoint_message
 from app.line.conditions.condition import follower
-from app.line.live.bus_live import BusLive
+from app.line.live.bus_live import BusLive, held_units
 from app.line.live.fields import name_on_site
 from bus.contract import ExecuteAll, Result, SetLine, SetSpeed, UnitOutcome, UnitScale
 from bus.errors import CallerError
@@ -364,10 +364,10 @@ async def review_staged(page: PageOfBus) -> Response:
 
 def _known_staged(page: BusPage) -> dict[int, int]:
     """Return the staged setpoints, raw by unit. Raise Problem 409 if there is none, or one is unknown."""
-    unknown = [number for number, unit in page.bus.units.items() if unit.staged_unknown]
+    unknown = [unit.settings.name for unit in page.bus.units.values() if unit.staged_unknown]
     staged = staged_setpoints(page.bus)
     if unknown:
-        raise Problem(409, "nothing_staged", Message.of("staged_unknown", unit=unknown))
+        raise Problem(409, "nothing_staged", Message.of("staged_lost", names=unknown))
     if not staged:
         raise Problem(409, "nothing_staged", Message("nothing_staged"))
     return staged
@@ -403,7 +403,7 @@ async def _own_setpoint(page: BusPage, unit: int, deadline: Deadline) -> int:
 async def discard_staged(page: PageOfBus, id: Annotated[str, Form(max_length=64)]) -> Response:
     """Stage the present setpoint of each unit that holds another one, so that nothing is left to execute."""
     units = page.bus.units
-    held = [number for number, unit in units.items() if unit.staged is not None or unit.staged_unknown]
+    held = held_units(page.bus)
     kept: list[tuple[str, Message]] = []
     deadline = page.deadline(len(held), typed=False)
     for unit in held:

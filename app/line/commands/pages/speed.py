@@ -139,7 +139,8 @@ async def review_execute(page: PageOfUnit) -> Response:
     try:
         if staged is None:
             unknown = page.unit.staged_unknown
-            message = Message.of("staged_unknown", unit=page.id) if unknown else Message("nothing_staged")
+            lost = Message.of("staged_lost", names=[page.unit.settings.name])
+            message = lost if unknown else Message("nothing_staged")
             raise Problem(409, "nothing_staged", message)
         await page.judge(ExecuteSpeed(unit=page.id))
         await page.know_ramps([page.id])
