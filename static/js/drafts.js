@@ -89,7 +89,8 @@ function putBack(form) {
   if (!draft || clock.now() - draft.at > KEPT_S) return;
   const found = fieldsOf(form).filter(({ name, value }) => name in draft.fields && value !== draft.fields[name]);
   for (const field of found) field.value = draft.fields[field.name];
-  if (found.length) form.prepend(note(form, found, draft.at));
+  // Where the page has a place for results, it moves nothing.
+  if (found.length) (form.querySelector(".setpoints__act > .change-report") ?? form).prepend(note(form, found, draft.at));
 }
 
 /** @param {HTMLFormElement} form @param {HTMLInputElement[]} found @param {number} at */

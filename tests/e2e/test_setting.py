@@ -217,6 +217,16 @@ def test_by_touch_every_number_has_a_pad_that_names_it_and_its_limits(shared_pag
     expect(page.locator('[data-together="offset"]')).to_have_value("-5")
 
 
+def test_a_draft_of_setpoints_moves_no_row(shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
+    place = page.locator("[data-unit='line/1']").bounding_box()
+    page.locator("[name=new-1]").fill("99")
+    page.reload()
+    expect(page.locator("[data-draft]")).to_be_visible()
+    assert page.locator("[data-unit='line/1']").bounding_box() == place
+    page.locator("[data-draft] button").click()
+
+
 def test_discard_leaves_nothing_staged_while_an_input_stands_above_the_setpoint(
     site: Site, shared_page: OpensPages
 ) -> None:

@@ -15,7 +15,7 @@ from math import ceil
 from typing import NamedTuple
 
 from app.core.web.formats import UNKNOWN
-from app.line.conditions.catalogue import TILES
+from app.line.conditions.catalogue import TILES, tile_text
 from app.line.conditions.condition import PRIORITIES
 from app.line.live.bus_live import (
     BusLive,
@@ -428,8 +428,10 @@ class Screen:
         of_bus = connection_cause(bus, now)
         # Abnormal once, at its bus; its own page has the mark of that cause. What is beside running has none.
         page_level = of_bus.level if of_bus and cause and of_bus.code == cause.code else view.level
+        silent = tile_text(of_bus.code if of_bus else "unit_offline") if view.link != "online" else None
         return fields | {
             "level": view.level,
+            "silent": self.translator.t(silent) if silent else "",
             "page_level": "" if is_beside_running(cause) else page_level,
             "cause": texts.line if texts is not None and view.level else "",
             "status": status,

@@ -356,13 +356,15 @@ def test_a_unit_does_not_repeat_the_lost_cable_of_its_bus() -> None:
         *("offline", "", "urgent", ""),
         "Port closed since 00:01: unplugged",
     ]
+    assert shown.shown["dry/1"]["silent"] == "port closed"
 
 
 def test_time_alone_makes_stale_then_offline() -> None:
     shown = screen(line())
     assert shown.render_aged(101.0) == {}
     assert shown.render_aged(102.5)["dry/1"]["link"] == "stale"
-    assert shown.render_aged(111.0)["dry/1"]["link"] == "offline"
+    offline = shown.render_aged(111.0)["dry/1"]
+    assert (offline["link"], shown.shown["dry/1"]["silent"]) == ("offline", "no response")
 
 
 def test_the_verdict_says_of_no_unit_that_is_stale_what_it_does() -> None:
