@@ -53,6 +53,8 @@ interface Trends {
   more: Set<string>;
   unknown: Span[];
   silent: Map<string, string>;
+  /** Pixels of the chart, and right of it. */
+  room: { chart: number; beside: number };
 }
 
 /** What a unit is called, or a bus. */
@@ -133,15 +135,15 @@ type View = import("../static/js/trends-view.js").View;
 /** The time at a place of the window, in pixels from its left edge. */
 type TimeAt = (clientX: number) => number;
 
-/** An alarm where it is drawn, in percent of the span; `label`: whose it is and what, `index`: its place in the list. */
+/** An alarm where it is drawn, in percent of the span; `label`: whose it is and what, `named`: where that stands,
+ * `index`: its place in the list. */
 interface PlacedAlarm extends Alarm {
   index: number;
   row: number;
   x: number;
   end: number;
-  room: number;
-  before: number;
   label: string;
+  named: Span | null;
 }
 
 /** An alarm of the API: ISO times. */

@@ -13,53 +13,79 @@ export const LANE_FILL = 0.7;
 const PRIORITIES = ["urgent", "high", "medium", "low"];
 /** More alarms of one priority at a time share its last row. */
 const ROWS_OF_PRIORITY = 2;
-/** Percent that the name of an alarm needs at least. */
-const LEAST_ROOM = 12;
-/** Pixels right of the chart that are room enough for the name of an alarm that goes on. */
-const LEAST_BESIDE = 120;
+/** Pixels of a letter of the names of alarms, of what keeps them off a mark, and how many letters of a place are enough where there
+ * is no room for all. */
+const [LETTER, OFF, LEAST_LETTERS] = [7, 15, 2];
 /** Percent from one mark of a row to the next that is drawn: nearer ones would hide each other. */
 const LEAST_APART = 3;
 
 /** Where a time is in a span, in percent; what is outside is at its end. @param {Span} span */
 const percentIn = ([from, to]) => /** @param {number} t */ (t) => (100 * (Math.min(Math.max(t, from), to) - from)) / (to - from);
 
+/** @param {Span} one @param {Span} other */
+const meet = (one, other) => one[0] < other[1] && other[0] < one[1];
+
 /** Where each alarm of a span begins and ends, and whose it is: `row` counts from the top, the most important priority first, and
- * a second row of a priority has what began while one of the first lasted; `room` and `before` are how much is free after and
- * before it in its row. That of a lower row is drawn over the area of a finger of the one above.
- * @param {Alarm[]} alarms @param {Span} span @returns {PlacedAlarm[]} */
-export function placed(alarms, [from, to]) {
+ * a second row of a priority has what has no room in the first. `named` is where its name stands, after its line or before it and
+ * over no other; null where only its mark has room, whose name is in the list. A later alarm has room before an earlier one, and
+ * the same alarm again has that of its former name. That of a lower row is drawn over the area of a finger of the one above.
+ * @param {Alarm[]} alarms @param {Span} span @param {{ chart: number, beside: number }} room in pixels @returns {PlacedAlarm[]} */
+export function placed(alarms, [from, to], { chart, beside }) {
   const percent = percentIn([from, to]);
+  const right = 100 + (100 * Math.max(0, beside - OFF / 3)) / chart;
+  /** @param {number} letters @param {number} marks beside it */
+  const width = (letters, marks) => (100 * (letters * LETTER + marks * OFF)) / chart;
   const shown = alarms.map((alarm, index) => ({ ...alarm, index })).filter(({ t, until }) => t < to && (until ?? to) > from);
-  let rows = 0;
-  const marks = PRIORITIES.flatMap((priority) => {
-    const first = rows;
-    /** @type {number[]} */
-    const ends = [];
+  let first = 0;
+  return PRIORITIES.flatMap((priority) => {
+    /** @type {PlacedAlarm[][]} */
+    const rows = [];
     const of = shown.filter((alarm) => alarm.priority === priority).sort((one, other) => one.t - other.t);
-    const found = of.map((alarm) => {
+    for (const alarm of of) {
       const label = [alarm.place, alarm.name].filter(Boolean).join(" · ");
       const [x, end] = [percent(alarm.t), percent(alarm.until ?? to)];
-      const free = ends.findIndex((last) => last <= x);
-      const part = free >= 0 ? free : Math.min(ends.length, ROWS_OF_PRIORITY - 1);
-      ends[part] = Math.max(ends[part] ?? 0, end);
-      return { ...alarm, row: first + part, x, end, label };
-    });
-    rows += ends.length;
-    return found;
-  });
-  return marks
-    .map((mark) => {
-      const others = marks.filter((other) => other !== mark && other.row === mark.row);
-      const next = Math.min(100, ...others.map(({ x }) => x).filter((x) => x >= mark.x));
-      const last = Math.max(0, ...others.filter(({ x }) => x < mark.x).map(({ end }) => end));
-      return { ...mark, room: next - mark.end, before: mark.x - last };
-    })
-    .sort((a, b) => a.row - b.row || a.x - b.x);
+      const least = label.length - Math.max(0, label.lastIndexOf(" · ") - LEAST_LETTERS);
+      const names = [label.length, least]
+        .flatMap((letters) => /** @type {Span[]} */ ([[end, end + width(letters, 2)], [x - width(letters, 1), x]]))
+        .filter(([a, b]) => a >= 0 && b <= right);
+      const numbers = [...rows.keys(), rows.length].slice(0, ROWS_OF_PRIORITY);
+      const spots = numbers.flatMap((number) => names.map((name) => ({ number, name })));
+      /** @param {number} number @param {Span} span @param {boolean} overNames */
+      const isFree = (number, span, overNames) =>
+        (rows[number] ?? []).every((other) => {
+          const isInName = !overNames && other.named !== null && other.label !== label && meet(span, other.named);
+          return !isInName && !meet(span, [other.x, other.end]);
+        });
+      /** @param {boolean} overNames */
+      const find = (overNames) =>
+        spots.find(({ number, name }) => isFree(number, [x, end], overNames) && isFree(number, name, overNames));
+      const unnamed = numbers.find((number) => isFree(number, [x, end], true)) ?? numbers.length - 1;
+      const { number, name } = find(false) ?? find(true) ?? { number: unnamed, name: null };
+      const row = rows[number] ?? [];
+      rows[number] = row;
+      for (const other of row) {
+        if (other.named && (meet(other.named, [x, end]) || (name && meet(other.named, name)))) other.named = null;
+      }
+      row.push({ ...alarm, row: first + number, x, end, label, named: name });
+    }
+    for (const row of rows) for (const mark of row) if (mark.named) mark.named = grown(mark, row, width(mark.label.length + 2, 2), right);
+    first += rows.length;
+    return rows.flat();
+  }).sort((a, b) => a.row - b.row || a.x - b.x);
+}
+
+/** The room of a name up to what it needs whole or to what is next in its row.
+ * @param {PlacedAlarm} mark @param {PlacedAlarm[]} row @param {number} whole @param {number} right @returns {Span} */
+function grown({ x, end, named }, row, whole, right) {
+  const [a, b] = /** @type {Span} */ (named);
+  const others = row.filter((other) => other.named !== named).flatMap((other) => [[other.x, other.end], ...(other.named ? [other.named] : [])]);
+  if (a < x) return [Math.max(b - whole, 0, ...others.map(([, last]) => last).filter((last) => last <= a)), b];
+  return [end, Math.min(a + whole, right, ...others.map(([start]) => start).filter((start) => start >= b))];
 }
 
 /** How many rows the alarms of a span take; at least one, so that the chart does not move with the first.
- * @param {Alarm[]} alarms @param {Span} span */
-export const alarmRows = (alarms, span) => Math.max(1, ...placed(alarms, span).map(({ row }) => row + 1));
+ * @param {Alarm[]} alarms @param {Span} span @param {{ chart: number, beside: number }} room */
+export const alarmRows = (alarms, span, room) => Math.max(1, ...placed(alarms, span, room).map(({ row }) => row + 1));
 
 /** What happened, as far as the view shows it. @param {Trends} trends */
 const happened = ({ view, marks, alarms, notes }) => (view.marks ? { marks, alarms, notes } : { marks: [], alarms: [], notes: [] });
@@ -67,7 +93,7 @@ const happened = ({ view, marks, alarms, notes }) => (view.marks ? { marks, alar
 /** Height of the lanes above the curves, in pixels. @param {Trends} trends */
 export function lanesHeight(trends) {
   const { alarms, notes } = happened(trends);
-  return (alarmRows(alarms, trends.range) + (notes.length ? 1 : 0)) * ROW + GAP;
+  return (alarmRows(alarms, trends.range, trends.room) + (notes.length ? 1 : 0)) * ROW + GAP;
 }
 
 /** A plugin of uPlot that draws it with the curves. `scaleOf` gives the scale of a curve, `room` are the pixels right of the
@@ -81,7 +107,7 @@ export function overlayPlugin(trends, scaleOf, room) {
       ready: (plot) => plot.over.after(layer),
       draw: (plot) => {
         layer.style.cssText = plot.over.style.cssText;
-        layer.replaceChildren(...lines(trends), ...lanes(trends, room), ...names(plot, trends, scaleOf, room));
+        layer.replaceChildren(...lines(trends), ...lanes(trends), ...names(plot, trends, scaleOf, room));
       },
     },
   };
@@ -122,12 +148,11 @@ function lines(trends) {
   ];
 }
 
-/** What is above the chart: one or two rows for each priority of alarms, and one of notes. A name without room after its line stands before it,
- * in a gap that is wide enough for two. The last name of a row may go on over the room right of the chart. @param {Trends} trends @param {number} beside that room, in pixels */
-function lanes(trends, beside) {
-  const { range, words } = trends;
+/** What is above the chart: one or two rows for each priority of alarms, and one of notes. @param {Trends} trends */
+function lanes(trends) {
+  const { range, room, words } = trends;
   const { alarms, notes } = happened(trends);
-  const [rows, left] = [alarmRows(alarms, range), percentIn(range)];
+  const [rows, left] = [alarmRows(alarms, range, room), percentIn(range)];
   /** @param {number} row */
   const top = (row) => `${row * ROW - lanesHeight(trends)}px`;
   /** @param {string} word @param {number} row @param {number} count */
@@ -136,19 +161,16 @@ function lanes(trends, beside) {
   return [
     lane(words.alarms, 0, rows),
     ...(notes.length ? [lane(words.notes, rows, 1)] : []),
-    ...placed(alarms, range).flatMap(({ index, priority, until, row, x, end, room, before, label }) => {
-      const place = { left: x, top: top(row), width: end - x };
-      const mark = part("trends__alarm alarm-priority", place);
+    ...placed(alarms, range, room).flatMap(({ index, priority, until, row, x, end, label, named }) => {
+      const mark = part("trends__alarm alarm-priority", { left: x, top: top(row), width: end - x });
       Object.assign(mark.dataset, { is: until === null ? priority : `${priority} cleared`, list: "alarms", index });
       if (until === null || row !== drawn.row || x - drawn.x >= LEAST_APART) {
         mark.append(part("alarm-priority__shape", {}));
         drawn = { row, x };
       }
-      const [isBefore, isLast] = [room < LEAST_ROOM && before >= 2 * LEAST_ROOM, end + room >= 100];
-      if (isBefore) return [part("trends__who", { right: 100 - x, top: top(row), "max-width": before < x ? before / 2 : x }, ...givingWay(label)), mark];
-      const most = isLast ? `calc(${room}% + ${beside}px)` : room < 2 * LEAST_ROOM ? room : room / 2;
-      const isNamed = room >= LEAST_ROOM || (isLast && beside >= LEAST_BESIDE);
-      return !isNamed ? [mark] : [part("trends__who", { left: end, top: top(row), "max-width": most }, ...givingWay(label)), mark];
+      if (!named) return [mark];
+      const [side, at] = named[0] < x ? ["right", 100 - x] : ["left", end];
+      return [part("trends__who", { [side]: at, top: top(row), "max-width": named[1] - named[0], [`padding-${side}`]: `${OFF}px` }, ...givingWay(label)), mark];
     }),
     ...notes.flatMap(({ t }, index) => {
       const flag = part("trends__flag", { left: left(t), top: top(rows) }, part("", {}, String(index + 1)));

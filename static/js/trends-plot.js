@@ -38,6 +38,8 @@ export class Picture {
     this.bits = [];
     /** The lowest number of each scale that is above the lanes. @type {Record<string, number>} */
     this.floors = {};
+    /** Pixels left and right of the chart. */
+    this.beside = 0;
     /** @type {uPlot | null} */
     this.plot = null;
     new ResizeObserver(() => this.resize()).observe(element);
@@ -108,6 +110,8 @@ export class Picture {
       splits: this.splits(scale),
     }));
     element.classList.toggle("trends__plot--none", !numbers.length);
+    this.beside = gutter + (isNarrow ? GUTTER_NARROW : GUTTER) * Math.max(0, axes.length - 1) + room;
+    trends.room = { chart: (element.clientWidth || 600) - this.beside, beside: room };
     /** @type {uPlot.Options} */
     const options = {
       width: element.clientWidth || 600,
@@ -118,7 +122,8 @@ export class Picture {
         ...Object.fromEntries(scales.map((scale) => [scale, { range: this.aboveLanes.bind(this) }])),
       },
       axes: [{ ...axis, values: axisLabels, space: 100, size: FOOT }, ...axes],
-      padding: [() => lanesHeight(trends), room, 0, axes.length ? 0 : gutter],
+      // Without a value in sight there are no numbers left of the chart, but the first time below it and the name of the lanes.
+      padding: [() => lanesHeight(trends), room, 0, ({ scales: of }) => (shown.some((scale) => of[scale].min != null) ? 0 : gutter)],
       series: [{}, ...lines.flatMap((line) => strokes(line, scaleOf(line)))],
       bands: lines.flatMap(({ place, past }, i) =>
         past ? [] : [{ series: [3 * i + 3, 3 * i + 2], fill: colour(look(place).name, BAND) }],
@@ -178,7 +183,9 @@ export class Picture {
   /** Take the room that there is, and draw again what lies over and above the curves: its lanes may have more rows. */
   resize() {
     const width = this.element.clientWidth;
-    if (width) this.plot?.setSize({ width, height: this.height() });
+    if (!width) return;
+    this.trends.room.chart = width - this.beside;
+    this.plot?.setSize({ width, height: this.height() });
   }
 
   /** @param {uPlot} plot */

@@ -26,7 +26,7 @@ const view = new View(catalogue, JSON.parse(root.dataset.shiftStarts));
 /** @type {Trends} */
 const trends = {
   ...{ words, catalogue, view, range: view.range(), at: null, chosen: "", dimmed: new Set(), unknown: [], silent: new Map() },
-  ...{ curves: [], past: [], compared: null, marks: [], alarms: [], notes: [], more: new Set() },
+  ...{ curves: [], past: [], compared: null, marks: [], alarms: [], notes: [], more: new Set(), room: { chart: 600, beside: 0 } },
 };
 const picture = new Picture(plot, trends, { cursor: moved, selected: (from, to) => view.show(from, to) });
 const values = new Values(trends);
@@ -184,7 +184,7 @@ function unreadText({ before, after }) {
   /** @param {number} at */
   const time = (at) => shortTime(at, trends.range[1]);
   if (before && trends.curves.every(({ t }) => !t.length))
-    return words.none.replace("{from}", time(before[0])).replace("{to}", time(before[1]));
+    return words.none.replace("{from}", shortTime(before[0], before[1])).replace("{to}", shortTime(before[1], before[0]));
   const since = before ? words.unreadBefore.replace("{time}", time(before[1])) : "";
   const until = after ? words.unreadAfter.replace("{time}", time(after[0])) : "";
   return [since, until].filter(Boolean).join(" ");

@@ -6,24 +6,25 @@ import { openPage } from "./page.js";
 openPage();
 const { alarmRows, apart, placed } = await import("../../static/js/trends-overlay.js");
 
-const alarm = (priority, t, until) => ({ priority, t, until });
-const drawn = (alarms) => placed(alarms, [100, 200]).map(({ priority, row, x, end, room }) => [priority, row, x, end, room]);
+const WIDE = { chart: 1000, beside: 0 };
+const alarm = (priority, t, until, place = "Nip", name = "Trip") => ({ priority, t, until, place, name });
+const drawn = (alarms) => placed(alarms, [100, 200], WIDE).map(({ priority, row, x, end }) => [priority, row, x, end]);
+/** Where each name begins and ends, in whole percent. */
+const names = (alarms, room = WIDE) => placed(alarms, [100, 200], room).map(({ row, named }) => [row, named?.map(Math.round) ?? null]);
 
 test("each is drawn from where it began to where it ended, within the span", () => {
   assert.deepEqual(drawn([alarm("low", 50, 120), alarm("low", 130, 140), alarm("low", 180, null)]), [
-    ["low", 0, 0, 20, 10],
-    ["low", 0, 30, 40, 40],
-    ["low", 0, 80, 100, 0],
+    ["low", 0, 0, 20],
+    ["low", 0, 30, 40],
+    ["low", 0, 80, 100],
   ]);
-  const [first, second] = placed([alarm("low", 130, 140), alarm("low", 180, null)], [100, 200]);
-  assert.deepEqual([first?.before, second?.before], [30, 40]);
   assert.deepEqual(drawn([alarm("low", 50, 100), alarm("low", 200, null)]), []);
 });
 
 test("the rows are those of the priorities that occur, and a lower one is drawn over the areas of the one above", () => {
   assert.deepEqual(drawn([alarm("urgent", 110, 120), alarm("medium", 110, 120), alarm("high", 10, 20)]), [
-    ["urgent", 0, 10, 20, 80],
-    ["medium", 1, 10, 20, 80],
+    ["urgent", 0, 10, 20],
+    ["medium", 1, 10, 20],
   ]);
 });
 
@@ -32,9 +33,20 @@ test("two of one priority at a time have a row each, more of them share the seco
   assert.deepEqual(rows.map(([, row, x]) => [row, x]), [[0, 10], [0, 50], [1, 20], [1, 30]]);
 });
 
+test("a name stands after its line, else before it, and never over the line or the name of another alarm", () => {
+  assert.deepEqual(names([alarm("low", 150, null), alarm("high", 150, 160)]), [[0, [60, 71]], [1, [39, 50]]]);
+});
+
+test("the second of two that follow each other has a row of its own where its name has no room", () => {
+  const phone = { chart: 240, beside: 34 };
+  const [first, second] = [alarm("low", 130, 140, "Coater", "Not in REMOTE"), alarm("low", 165, null, "Dryer 2", "Not in REMOTE")];
+  assert.deepEqual(names([first, second], phone).map(([row]) => row), [0, 1]);
+  assert.ok(names([first, second], phone).every(([, name]) => name));
+});
+
 test("their lane has a row before the first alarm came", () => {
-  assert.equal(alarmRows([], [100, 200]), 1);
-  assert.equal(alarmRows([alarm("urgent", 110, 120), alarm("low", 110, null)], [100, 200]), 2);
+  assert.equal(alarmRows([], [100, 200], WIDE), 1);
+  assert.equal(alarmRows([alarm("urgent", 110, 120), alarm("low", 110, null)], [100, 200], WIDE), 2);
 });
 
 test("names stand at the ends of their lines, apart where they would touch, and in their span", () => {
