@@ -34,6 +34,7 @@ from app.line.history.series.figures import (
     joined,
     minute_figures,
     passed_web,
+    joined,
     run_figures,
     runs_of_minutes,
     stretches,
@@ -48,6 +49,7 @@ from bus.instants import UnixTime
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.app.history_line import BUS, NOON, Shelf, parameter
 from tests.e2e.site import add_people
+from tests.for_each import for_each
 
 SHIFT = "2026-11-21T06:00"
 """It has NOON in it."""
@@ -132,6 +134,18 @@ def test_a_hole_is_neither_running_nor_a_stop_and_a_stop_over_it_is_one() -> Non
     found = figures([run(0, 10, 0), run(60, 70, 0), run(70.2, 80, 50)])
     assert (found.known, found.running) == (30 * SECOND, round(9.8 * SECOND))
     assert [(stop.at, stop.until) for stop in found.stops] == [(0, round(70.2 * SECOND))]
+
+
+@for_each("at", (10, 60))
+def test_a_speed_that_swings_about_zero_as_it_comes_to_rest_is_one_stop(at: float) -> None:
+    """Also over the end of a minute, where parts are joined."""
+    runs = [run(at - 5, at - 0.2, 50), run(at - 0.2, at, 0), run(at, at + 0.2, 1), run(at + 0.2, at + 20, 0)]
+    runs.append(run(at + 20.2, at + 30, 50))
+    first, second = (figures(runs, *span) for span in ((0, at), (at, 120)))
+    for found in (figures(runs, end=120), joined([first, second])):
+        assert [(stop.at, stop.until) for stop in found.stops] == [
+            (round((at - 0.2) * SECOND), round((at + 20.2) * SECOND))
+        ]
 
 
 def test_readings_outside_of_the_span_do_not_count() -> None:

@@ -148,6 +148,11 @@ StopCause = Literal["estop", "run_off", "speed_zero", "unknown"]
 _AT_SPEED = 1 << VALUES["at_speed"].bit
 
 
+MOMENT = SECOND
+"""A unit that moved for less than this between two stops stood all the time, µs: the speed that it displays
+swings about zero as it comes to rest."""
+
+
 class Stop(msgspec.Struct, array_like=True):
     """A standstill from ``at`` until ``until``, µs, with the cause that its first reading shows."""
 
@@ -228,25 +233,24 @@ def run_figures(stretches: Sequence[RunStretch], estop_healthy: int, scales: Sca
     """Count the figures of a unit from its stretches in order of time, none of which contains a change of
     scale."""
     figures = RunFigures()
-    stop: Stop | None = None
+    is_standing = False
     for i, j, scale in scales.stretches([each.at for each in stretches]):
         for stretch in stretches[i:j]:
             at, until, _, raw, greatest, _ = stretch
             lasting = until - at
             figures.known += lasting
+            was_standing, is_standing = is_standing, not raw
             if raw:
-                stop = None
                 figures.running += lasting
                 figures.travel += scale.apply(raw) * lasting
                 figures.fastest = max(figures.fastest, scale.apply(greatest))
                 figures.at_speed += lasting if stretch.is_at_speed else 0
-            elif stop is None:
-                stop = Stop(at, until, _cause(stretch, estop_healthy))
-                figures.stops.append(stop)
+            elif figures.stops and (was_standing or at - figures.stops[-1].until < MOMENT):
+                figures.stops[-1].until = until
             else:
-                stop.until = until
+                figures.stops.append(Stop(at, until, _cause(stretch, estop_healthy)))
     figures.began_stopped = bool(stretches) and not stretches[0].actual
-    figures.ended_stopped = stop is not None
+    figures.ended_stopped = is_standing
     return figures
 
 
@@ -258,7 +262,8 @@ def joined(parts: Iterable[RunFigures]) -> RunFigures:
         whole.by_minute |= part.by_minute
         if not part.known:
             continue
-        goes_on = whole.ended_stopped and part.began_stopped
+        moved = part.stops[0].at - whole.stops[-1].until if part.stops and whole.stops else MOMENT
+        goes_on = moved < MOMENT or (whole.ended_stopped and part.began_stopped)
         if goes_on:
             whole.stops[-1].until = part.stops[0].until
         whole.known += part.known
