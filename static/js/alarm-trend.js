@@ -1,7 +1,7 @@
 // The speed of a unit from a minute before its alarm came: ten minutes, with a mark where it came.
 import "./main.js";
 import { now } from "./clock.js";
-import { build, inUnitsDecimals } from "./minutes.js";
+import { build, nameExtremes } from "./minutes.js";
 import { outline, path, range } from "./spark.js";
 import { formatTime } from "./site-time.js";
 
@@ -23,7 +23,8 @@ async function draw(figure, unit, came) {
   if (!response.ok) return;
   const found = await response.json();
   const [actual, commanded] = [found[`${unit}/actual`], found[`${unit}/commanded`]];
-  const scale = range([...actual.avg, ...commanded.avg]);
+  const all = [...actual.avg, ...commanded.avg];
+  const scale = range(all);
   if (!scale) return;
   const { lines, labels } = build(figure);
   lines.actual.setAttribute("d", outline(actual, from, scale, false));
@@ -31,9 +32,8 @@ async function draw(figure, unit, came) {
   const mark = path("minutes__came");
   mark.setAttribute("d", `M${BEFORE_S} 0V100`);
   lines.actual.before(mark);
-  const texts = [scale.most, scale.least].map((each) => inUnitsDecimals(unit, each));
-  for (const [index, text] of [...texts, formatTime(from, "clock"), formatTime(from + SPAN_S, "clock")].entries())
-    labels[index].textContent = text;
+  nameExtremes(unit, labels, all, scale);
+  for (const [index, at] of [from, from + SPAN_S].entries()) labels[2 + index].textContent = formatTime(at, "clock");
 }
 
 if (figure) {

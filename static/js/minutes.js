@@ -6,7 +6,7 @@ import { now } from "./clock.js";
 import { fetchAlarms, fetchMarks } from "./history-requests.js";
 import { isLive } from "./live.js";
 import { formatTime } from "./site-time.js";
-import { drawing, fetchMinutes, outline, path, range, SPAN_S } from "./spark.js";
+import { drawing, extremes, fetchMinutes, outline, path, range, SPAN_S } from "./spark.js";
 import { language, word } from "./words.js";
 
 const EVERY_MS = 5000;
@@ -66,11 +66,21 @@ async function drawFlags(unit, { flags }) {
 
 /** A number with as many decimals as the unit itself shows.
  * @param {string} unit @param {number} number */
-export function inUnitsDecimals(unit, number) {
+function inUnitsDecimals(unit, number) {
   const decimals = value(`${unit}.setpoint`)?.[1] ?? 0;
   const [minimumFractionDigits, maximumFractionDigits] = [decimals, decimals];
   const shape = { minimumFractionDigits, maximumFractionDigits, useGrouping: false };
   return number.toLocaleString(language, shape);
+}
+
+/** The greatest and the least value, each at its height.
+ * @param {string} unit @param {HTMLElement[]} labels @param {(number | null)[]} all @param {Scale} scale */
+export function nameExtremes(unit, labels, all, scale) {
+  const named = extremes(all, scale);
+  labels.slice(0, 2).forEach((label, i) => {
+    label.textContent = named[i] ? inUnitsDecimals(unit, named[i].value) : "";
+    label.style.setProperty("--at", `${named[i]?.at ?? 1}`);
+  });
 }
 
 /** @param {string} unit @param {ReturnType<typeof build>} parts */
@@ -78,12 +88,12 @@ async function draw(unit, { lines, labels }) {
   if (!isLive() || document.visibilityState !== "visible") return;
   const { from, found } = await fetchMinutes([unit]);
   const [actual, commanded] = [found[`${unit}/actual`], found[`${unit}/commanded`]];
-  const scale = range([...actual.avg, ...commanded.avg]);
+  const all = [...actual.avg, ...commanded.avg];
+  const scale = range(all);
   if (!scale) return;
   lines.actual.setAttribute("d", outline(actual, from, scale, false));
   lines.commanded.setAttribute("d", outline(commanded, from, scale, true));
-  labels[0].textContent = inUnitsDecimals(unit, scale.most);
-  labels[1].textContent = inUnitsDecimals(unit, scale.least);
+  nameExtremes(unit, labels, all, scale);
 }
 
 for (const figure of document.querySelectorAll("[data-ten-minutes]")) {

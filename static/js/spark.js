@@ -48,6 +48,17 @@ export function range(all, window = 0) {
   return { least: Math.max(0, least - pad), most: most + pad };
 }
 
+/** The part of the height between two numbers that does not let them touch. */
+const APART = 0.2;
+
+/** The greatest and the least value that is drawn, each with where that is, as a part of the height from the top; the least only
+ * where it does not touch the greatest. @param {(number | null)[]} all @param {Scale} scale */
+export function extremes(all, { least, most }) {
+  const known = all.filter((value) => value !== null);
+  const [first, last] = [Math.max(...known), Math.min(...known)].map((value) => ({ value, at: (most - value) / (most - least) }));
+  return last.at - first.at < APART ? [first] : [first, last];
+}
+
 /** @param {Spark} spark @param {number} from @param {Scale} scale @param {boolean} step */
 export function outline({ t, avg }, from, { least, most }, step) {
   let d = "";

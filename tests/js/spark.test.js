@@ -4,7 +4,7 @@ import { test } from "node:test";
 import { openPage } from "./page.js";
 
 openPage();
-const { band, outline } = await import("../../static/js/spark.js");
+const { band, extremes, outline } = await import("../../static/js/spark.js");
 
 const scale = { least: 0, most: 100 };
 /** A value each minute, from the beginning of the span on. */
@@ -18,4 +18,10 @@ test("points between equal ones are left out, and a gap stays a gap", () => {
 
 test("the band around a setpoint is one area for as long as it stays", () => {
   assert.equal(band(spark(50, 50, null, 80, 80), 0, scale, 10), "M0.0 40.0H60.0V60.0H0.0ZM180.0 10.0H240.0V30.0H180.0Z");
+});
+
+test("the greatest and the least value stand at the height of each, and one alone where they would touch", () => {
+  const scale = { least: 0, most: 132 };
+  assert.deepEqual(extremes([null, 120, 0], scale), [{ value: 120, at: 12 / 132 }, { value: 0, at: 1 }]);
+  assert.deepEqual(extremes([120, 119], scale).map(({ value }) => value), [120]);
 });
