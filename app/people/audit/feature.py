@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import urlencode
@@ -136,7 +137,8 @@ class EventRow:
 
 async def page_of(events: EventLog, wanted: Filter, limit: int) -> tuple[list[EventRow], int | None]:
     """Return at most ``limit`` rows, newest first, and the number to continue from (None at the end). A part
-    is a row of its own if the filter excludes its change."""
+    is a row of its own if the filter excludes its change. Pages follow the numbers; the rows of one follow
+    the times shown, as a worker that was away reports late what happened before."""
     found, after = await events.page(replace(wanted, folded=True), limit)
     groups = sorted(event["id"] for event in found)
     parts, more = await events.page(Filter(parts_of=tuple(groups)), MAX_PARTS)
@@ -147,6 +149,7 @@ async def page_of(events: EventLog, wanted: Filter, limit: int) -> tuple[list[Ev
         # Newest first: the change of the last part may have more parts than were read; newer ones have all.
         cut = _group_of(parts[-1], groups)
         found, after = [event for event in found if event["id"] > cut], cut + 1
+    found = sorted(found, key=itemgetter("time", "id"), reverse=True)
     return [EventRow(event, by_group.get(event["id"], [])) for event in found], after
 
 

@@ -61,6 +61,14 @@ async def test_a_change_is_one_row_with_its_units_in_order(house: House) -> None
     assert found[1].outcomes == [("verified", 2), ("unverified", 1)]
 
 
+async def test_rows_follow_the_times_shown_and_pages_the_numbers(house: House) -> None:
+    log = house.services[EventLog]
+    numbers = [await log.record(kind="worker", what="away", at=at) for at in (100.0, 130.0, 120.0, 140.0)]
+    found, after = await page_of(log, Filter(kind="worker"), 3)
+    assert [row.event["time"] for row in found] == [140, 130, 120]
+    assert after == numbers[1]
+
+
 async def test_a_part_found_without_its_change_is_a_separate_row(house: House) -> None:
     group = await change(house, 3)
     found, _ = await rows(house, unit=2)
