@@ -88,8 +88,8 @@ class Alarm:
     facts: AlarmFacts = NORMAL
     holds: bool | None = None
     """Whether the condition held when last observed; None: not known."""
-    first_out: bool = False
-    """Whether the alarm was the first of several that rose together."""
+    first_out: int = 0
+    """The number of alarms that rose together, where this was the first of them; else 0."""
     hidden_by: str = ""
     """The person who shelved the alarm or took it out of service."""
     reason: str = ""

@@ -143,7 +143,7 @@ class AlarmList:
             if each.after == "unack_active" != each.before:
                 self.annunciated[alarm.definition.priority] += 1
             if each.trigger == "rise":
-                alarm.first_out = False
+                alarm.first_out = 0
                 if not alarm.facts.is_hidden and alarm.definition.about != "parameters":
                     self._mark_first_out(alarm, each.at)
         if transitions:
@@ -152,9 +152,10 @@ class AlarmList:
             self._publish(alarm)
 
     def _mark_first_out(self, alarm: Alarm, at: UnixTime) -> None:
-        first = self.alarms.get(self._first_out.rise(alarm.definition.key, at) or "")
-        if first is not None and not first.first_out:
-            first.first_out = True
+        key, count = self._first_out.rise(alarm.definition.key, at)
+        first = self.alarms.get(key)
+        if first is not None and count > max(first.first_out, 1):
+            first.first_out = count
             self._has_changed(first)
 
     def _schedule(self, alarm: Alarm) -> None:

@@ -144,7 +144,7 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
         "value_message": maybe_shown(value),
         "message": str(message),
         "alarm_message": message_shown(message),
-        "first_out": alarm.first_out,
+        "first_out": alarm.first_out > 0,
         "shelved_until": _time(facts.shelved_until),
         "hidden_by": hidden_by or None,
         "reason": reason or None,

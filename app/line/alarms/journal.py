@@ -146,7 +146,7 @@ class StoredAlarm:
     """The facts and marks of an alarm as the store keeps them."""
 
     facts: AlarmFacts
-    first_out: bool
+    first_out: int
     hidden_by: str
     reason: str
 
@@ -226,7 +226,7 @@ def _load(connection: StoreConnection, key: str | None = None) -> dict[str, Stor
 def _stored(row: StoreRow) -> StoredAlarm:
     values = {name: row[name] for name in _STORED_FACTS}
     facts = AlarmFacts(**values | {name: bool(values[name]) for name in _FLAGS})
-    return StoredAlarm(facts, bool(row["first_out"]), row["hidden_by"], row["reason"])
+    return StoredAlarm(facts, row["first_out"], row["hidden_by"], row["reason"])
 
 
 MAX_OCCURRENCES = 500

@@ -8,7 +8,7 @@ shelved, suppressed or out of service is hidden: it is detected and recorded, an
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import lru_cache
 from typing import Any, Literal, get_args
@@ -422,19 +422,18 @@ DISTURBANCE_S = 5.0
 
 @dataclass(slots=True)
 class FirstOut:
-    """The search for the first alarm of a disturbance of one bus. A single alarm is not marked. Alarms about
-    parameters take no part: they come when a parameter is read, not when it was changed."""
+    """The search for the first alarm of a disturbance of one bus. Alarms about parameters take no part: they
+    come when a parameter is read, not when it was changed."""
 
-    _first: str | None = None
+    _alarms: dict[str, None] = field(default_factory=dict)
     _at: UnixTime = UnixTime(0.0)
 
-    def rise(self, alarm: str, at: UnixTime) -> str | None:
-        """Add an alarm that is annunciated, and return the first of its disturbance; None while it is
-        alone."""
-        if self._first is None or not 0 <= at - self._at <= DISTURBANCE_S:
-            self._first, self._at = alarm, at
-            return None
-        return self._first if alarm != self._first else None
+    def rise(self, alarm: str, at: UnixTime) -> tuple[str, int]:
+        """Add an alarm that is annunciated. Return the first of its disturbance, and how many it has so far."""
+        if not self._alarms or not 0 <= at - self._at <= DISTURBANCE_S:
+            self._alarms, self._at = {}, at
+        self._alarms[alarm] = None
+        return next(iter(self._alarms)), len(self._alarms)
 
 
 @dataclass(frozen=True, slots=True)

@@ -322,10 +322,11 @@ def test_a_line_is_at_rest_when_zero_is_commanded_to_every_unit() -> None:
     assert not is_at_rest([])
 
 
-def test_the_first_alarm_of_a_disturbance_is_named_and_one_alone_is_not() -> None:
+def test_the_first_alarm_of_a_disturbance_is_named_with_how_many_it_has() -> None:
     first_out = FirstOut()
     rises = (("a", 0), ("b", 5), ("a", 5), ("c", 5.1), ("d", 6), ("e", 2))
-    assert [first_out.rise(alarm, UnixTime(at)) for alarm, at in rises] == [None, "a", None, None, "c", None]
+    firsts = [first_out.rise(alarm, UnixTime(at)) for alarm, at in rises]
+    assert firsts == [("a", 1), ("a", 2), ("a", 2), ("c", 1), ("c", 2), ("e", 1)]
 
 
 def test_the_matrix_is_complete_and_higher_is_never_less_urgent() -> None:

@@ -99,7 +99,7 @@ def test_a_deviation_ends_by_its_deadband_and_means_nothing_on_a_ramp_or_at_rest
     assert bus.state("1.deviation") == "rtn_unack"
     bus.wait(1, 1, 2, 3, commanded=2000, outputs=REMOTE)
     assert bus.alarm("1.deviation").holds is False
-    assert [bus.alarm(f"{unit}.deviation").first_out for unit in (1, 2, 3)] == [True, False, False]
+    assert [bus.alarm(f"{unit}.deviation").first_out for unit in (1, 2, 3)] == [3, 0, 0]
 
 
 def test_a_scan_over_its_budget_is_an_alarm_after_a_minute_and_unknown_without_a_port(bus: AlarmBus) -> None:
