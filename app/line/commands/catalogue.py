@@ -148,7 +148,11 @@ SET_LINE: CommandKind[SetLine] = CommandKind(
     SetLine,
     Role.OPERATOR,
     wording=lambda action, bus: line_wording(
-        Message.of("event_set_line", n=len(action.setpoints)), bus, action.setpoints
+        Message.of(
+            "event_set_line" if any(action.setpoints.values()) else "event_zero_line", n=len(action.setpoints)
+        ),
+        bus,
+        action.setpoints,
     ),
     part_wordings=lambda action, bus: wordings_by_unit(
         Message.of("event_set_speed_of_several", n=len(action.setpoints)), bus, action.setpoints

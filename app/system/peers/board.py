@@ -230,6 +230,8 @@ def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTi
     if summary.cause is None:
         return "", translator.t(summary.verdict)
     place = "" if summary.place == summary.bus else summary.place
+    if summary.alike > 1:
+        place = translator.tn("{n} unit", "{n} units", summary.alike)
     return place, verdict_line(summary.cause.cause(summary.level), translator, now)
 
 

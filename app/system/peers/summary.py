@@ -84,7 +84,7 @@ class EventSummary(msgspec.Struct, frozen=True):
 
 class LineSummary(msgspec.Struct, frozen=True):
     """The summary of one line. ``verdict``: the text if there is no ``cause``; ``place``: the unit or bus of
-    the cause. ``states``: units by state, and the number that is ``online``; ``active`` and ``waiting`` (for
+    the cause; ``alike``: how many units it is the cause of, since the same minute. ``states``: units by state, and the number that is ``online``; ``active`` and ``waiting`` (for
     an acknowledgement): alarms by priority; ``unknown``: the number that were active and may have ended
     since; ``alarm``: the text of the first alarm. ``speeds``: of the first unit, the newest last, in
     ``measure``, None if not read; ``scan_hz``: scans a second; ``recipe``: the one last loaded."""
@@ -99,6 +99,7 @@ class LineSummary(msgspec.Struct, frozen=True):
     waiting: Counts
     unknown: int = 0
     place: str = ""
+    alike: int = 1
     cause: CauseSummary | None = None
     alarm: Message | None = None
     alarm_priority: Level = ""
@@ -166,6 +167,7 @@ def summary_of(
         _by_priority(alarm for alarm, _ in known if alarm.is_unacknowledged),
         unknown,
         place=place,
+        alike=sum(_are_alike(cause, view.cause) for view in views) or 1,
         cause=CauseSummary.from_cause(cause, alarm_delay_s(key, TILES[cause.code].code)) if cause else None,
         alarm=first[1] if first else None,
         alarm_priority=first[0].definition.priority if first else "",
@@ -194,6 +196,14 @@ def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, str
     return worst.unit.settings.name, unit_key(name, worst.unit.settings.id), worst.cause
 
 
+def _are_alike(one: Cause | None, other: Cause | None) -> bool:
+    """Return whether one sentence says both: what is so, of which motion, and since which minute."""
+    if one is None or other is None or (one.code, one.params) != (other.code, other.params):
+        return False
+    [since, other_since] = [each.onset and each.onset.at // 60 for each in (one, other)]
+    return since == other_since
+
+
 def _by_priority(alarms: Iterable[Alarm]) -> Counts:
     counted = Counter(alarm.definition.priority for alarm in alarms)
     return {priority: counted[priority] for priority in PRIORITIES if counted[priority]}
@@ -209,6 +219,7 @@ SHOWN: frozenset[EventKind] = frozenset(
 """The kinds of events that say what a line did. Control, sign-ins, notes and a worker's start do not, and the
 verdict names a closed port."""
 DONE = ("verified", "acknowledged")
+OF_SEVERAL = ("event_set_line", "event_zero_line", "event_execute_all")
 FRESH_S = 0.9
 """The age up to which a summary serves another reader."""
 TRACE_S = 1.0
@@ -264,13 +275,15 @@ class LastEvents:
 
     def _text(self, event: Event) -> Message:
         """Return the text of an event, such as ``Dryer 2 · speed set: 120.0 → 121.0``, with the result if the
-        command was not carried out."""
+        command was not carried out. Of a command to several units it names the person, and no value of each."""
         unit = self.live.buses[event["bus"]].units.get(event["unit"] or 0)
-        old, new = _field(event, "old"), _field(event, "new")
-        if old and new:
-            text = Message.of("line_event_change", what=_field(event, "what"), old=old, new=new)
+        what, old, new = _field(event, "what"), _field(event, "old"), _field(event, "new")
+        if isinstance(what, Message) and what.code in OF_SEVERAL:
+            text = Message.of("line_event_by", what=what, who=_field(event, "who"))
+        elif old and new:
+            text = Message.of("line_event_change", what=what, old=old, new=new)
         else:
-            text = Message.of("line_event", what=_field(event, "what"))
+            text = Message.of("line_event", what=what)
         if event["outcome"] not in (None, *DONE):
             text = Message.of("line_event_outcome", event=text, outcome=term(event["outcome"]))
         if unit is None:

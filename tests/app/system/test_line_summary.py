@@ -35,6 +35,13 @@ def test_the_worst_unit_is_named() -> None:
     assert found.cause.cause("urgent").params["motion"] == "stopping"
 
 
+def test_units_with_one_cause_since_one_minute_are_counted() -> None:
+    bus = line().buses["dry"]
+    bus.apply([reading(unit, at=100.0, inputs=HEALTHY) for unit in (1, 2)])
+    found = summarized(bus, 100.5)
+    assert (found.cause and found.cause.code, found.alike) == ("run_off", 2)
+
+
 def test_a_cause_of_the_bus_comes_before_its_units() -> None:
     bus = line().buses["dry"]
     bus.lose_worker(101.0)
