@@ -429,7 +429,7 @@ class FirstOut:
     _at: UnixTime = UnixTime(0.0)
 
     def rise(self, alarm: str, at: UnixTime) -> tuple[str, int]:
-        """Add an alarm that is annunciated. Return the first of its disturbance, and how many it has so far."""
+        """Add an alarm that is annunciated. Return the first of its disturbance, and how many there are."""
         if not self._alarms or not 0 <= at - self._at <= DISTURBANCE_S:
             self._alarms, self._at = {}, at
         self._alarms[alarm] = None

@@ -84,10 +84,11 @@ class EventSummary(msgspec.Struct, frozen=True):
 
 class LineSummary(msgspec.Struct, frozen=True):
     """The summary of one line. ``verdict``: the text if there is no ``cause``; ``place``: the unit or bus of
-    the cause; ``alike``: how many units it is the cause of, since the same minute. ``states``: units by state, and the number that is ``online``; ``active`` and ``waiting`` (for
-    an acknowledgement): alarms by priority; ``unknown``: the number that were active and may have ended
-    since; ``alarm``: the text of the first alarm. ``speeds``: of the first unit, the newest last, in
-    ``measure``, None if not read; ``scan_hz``: scans a second; ``recipe``: the one last loaded."""
+    the cause; ``alike``: how many units it is the cause of, since the same minute. ``states``: units by
+    state, and the number that is ``online``; ``active`` and ``waiting`` (for an acknowledgement): alarms by
+    priority; ``unknown``: the number that were active and may have ended since; ``alarm``: the text of the
+    first alarm. ``speeds``: of the first unit, the newest last, in ``measure``, None if not read;
+    ``scan_hz``: scans a second; ``recipe``: the one last loaded."""
 
     bus: str
     site: str
@@ -200,7 +201,7 @@ def _are_alike(one: Cause | None, other: Cause | None) -> bool:
     """Return whether one sentence says both: what is so, of which motion, and since which minute."""
     if one is None or other is None or (one.code, one.params) != (other.code, other.params):
         return False
-    [since, other_since] = [each.onset and each.onset.at // 60 for each in (one, other)]
+    [since, other_since] = [each.onset and float(each.onset.at) // 60 for each in (one, other)]
     return since == other_since
 
 
@@ -275,7 +276,7 @@ class LastEvents:
 
     def _text(self, event: Event) -> Message:
         """Return the text of an event, such as ``Dryer 2 · speed set: 120.0 → 121.0``, with the result if the
-        command was not carried out. Of a command to several units it names the person, and no value of each."""
+        command was not carried out. Of a command to several units it names the person, and no values."""
         unit = self.live.buses[event["bus"]].units.get(event["unit"] or 0)
         what, old, new = _field(event, "what"), _field(event, "old"), _field(event, "new")
         if isinstance(what, Message) and what.code in OF_SEVERAL:

@@ -34,7 +34,6 @@ from app.line.history.series.figures import (
     joined,
     minute_figures,
     passed_web,
-    joined,
     run_figures,
     runs_of_minutes,
     stretches,

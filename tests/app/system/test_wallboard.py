@@ -56,8 +56,10 @@ async def test_the_last_event_names_unit_change_and_result(tmp_path: Path) -> No
         await log.record(kind="command", outcome="verified", what="Set line", bus="dry-end")
         await last.read()
         assert str(last.newest_of("dry-end").text) == "Set line"  # type: ignore[union-attr]
-        zero = {"old": "1: 119.4, 2: 118.0", "new": "1: 0.0, 2: 0.0", "who": "operator", "outcome": "verified"}
-        await log.record(kind="command", what=Message.of("event_zero_line", n=2), bus="dry-end", **zero)
+        zero = {"old": "1: 119.4, 2: 118.0", "new": "1: 0.0, 2: 0.0", "who": "operator"}
+        await log.record(
+            kind="command", what=Message.of("event_zero_line", n=2), bus="dry-end", outcome="verified", **zero
+        )
         await last.read()
         assert str(last.newest_of("dry-end").text) == "set 2 units to zero (operator)"  # type: ignore[union-attr]
         late = Message.of("event_readings_late", count=1, since="", until="")
