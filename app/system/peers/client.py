@@ -102,7 +102,7 @@ class LineOfSite(TypedDict):
     ]
     verdict: MessageShown
     place: Annotated[Name | None, Field(description="The unit or bus that the verdict is about.")]
-    alike: NotRequired[Annotated[Count, Field(description="How many units have that cause.")]]
+    alike: NotRequired[Annotated[Count | None, Field(description="How many units have that cause.")]]
     cause: LineCauseShown | None
     units: Annotated[Count | None, Field(description="How many are configured.")]
     states: Annotated[
@@ -275,7 +275,7 @@ def _summary(line: LineOfSite) -> LineSummary:
         waiting=alarms["unacknowledged"],
         unknown=alarms.get("unknown", 0),
         place=line["place"] or "" if is_known else "",
-        alike=line.get("alike", 1) if is_known else 1,
+        alike=(is_known and line.get("alike")) or 1,
         cause=_cause(cause) if cause and is_known else None,
         alarm=_maybe_message(alarms["first"]),
         alarm_priority=alarms["first_priority"] or "",
