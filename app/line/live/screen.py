@@ -7,6 +7,7 @@ for what a worker reported, `Screen.render_aged` once a second for what only tim
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
@@ -68,6 +69,8 @@ NO_ALARM = term("no alarm: an input stopped it")
 MAX_NAMES = 3
 """The most units that an input stopped and that are named beside the verdict; beyond it a number."""
 NO_BREAK = "\u00a0"
+_BREAK_AFTER = re.compile("([-/])")
+"""After these a browser breaks a line, unless a word joiner follows."""
 Views = Mapping[str, UnitView]
 """The presentation of each unit, by the group of its fields."""
 
@@ -124,7 +127,8 @@ def line_fields(
     """Return the fields of the line. ``found``: everything abnormal, the worst first; ``alarmed``: the units
     with an active alarm; ``alarm_delay_s``: when a condition becomes one. The verdict is the worst cause
     (``cause``) after the name of its unit (``name``), which a narrow page may drop; ``untimed`` is the cause
-    without its time, which the pages of units and alarms state beside the condition."""
+    without its time, which the pages of units and alarms state beside the condition. ``beside``: what is
+    ``named`` as well, for a line that breaks between two of them only."""
     counts = state_counts(views.values())
     abnormal = len(_abnormal_units(buses, found) | alarmed)
     worst, said = verdict_of(found), set[str]()
@@ -136,6 +140,10 @@ def line_fields(
     else:
         name, cause = "", translator.t(all_well(len(views), counts, _running_at(buses)))
         untimed = cause
+    named = [
+        *_named(found, worst.key if worst else "", said, views, translator, now),
+        *_not_yet(worst, alarm_delay_s, translator),
+    ]
     return {
         "level": worst.cause.level if worst else "",
         "verdict": f"{name} · {cause}" if name else cause,
@@ -147,13 +155,14 @@ def line_fields(
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
         "abnormal": f"{abnormal}",
         "staged": " | ".join(each.key for each in staged_units(buses.values(), now)),
-        "named": " · ".join(
-            [
-                *_named(found, worst.key if worst else "", said, views, translator, now),
-                *_not_yet(worst, alarm_delay_s, translator),
-            ]
-        ),
+        "named": " · ".join(named),
+        "beside": " ".join(_whole(f"· {each}") for each in named),
     } | _figures(buses, translator, now)
+
+
+def _whole(text: str) -> str:
+    """Return a text in which no browser breaks a line."""
+    return _BREAK_AFTER.sub("\\1\u2060", text.replace(" ", NO_BREAK))
 
 
 def _is_said_by(named: NamedCause, line: str, translator: Translator, now: UnixTime) -> bool:

@@ -10,7 +10,7 @@ from app.line.conditions.catalogue import TILES
 from app.line.live.bus_live import Onset
 from app.line.live.diagnosis import abnormal
 from app.line.live.fields import bus_fields, frame_fields, health_fields, name_on_site, unit_fields
-from app.line.live.screen import NamedCause, holders, line_fields, verdict_line
+from app.line.live.screen import NO_BREAK, NamedCause, holders, line_fields, verdict_line
 from app.line.live.sources import Drifted
 from bus.contract import MAX_MEANING, BusFigures, BusLink, Frame, ParameterValue, UnitFigures
 from bus.instants import UnixTime
@@ -199,6 +199,7 @@ def test_units_abnormal_or_with_an_alarm_are_counted_and_a_bus_is_named() -> Non
     fields = line_fields(wet, {}, found, translator("en"), UnixTime(1_000_000.0), alarmed)
     assert (fields["abnormal"], fields["counts"], fields["name"]) == ("45", "45 abnormal", "Unit 1")
     assert fields["named"] == "wet: No unit has responded yet"
+    assert fields["beside"] == "·_wet:_No_unit_has_responded_yet".replace("_", NO_BREAK)
 
 
 def test_a_condition_of_low_priority_is_no_verdict() -> None:
