@@ -58,6 +58,18 @@ SPANS = (1, 7, 31)
 _NUMBERS = ("above", "below", "deadband", "change_per_s")
 _DELAYS = ("on_delay_s", "off_delay_s")
 _TEXTS = ("cause", "consequence", "response")
+_LABELS = {
+    "name": "Name",
+    "priority": "Priority",
+    "above": "Above",
+    "below": "Below",
+    "change_per_s": "Change per second",
+    "state": "State",
+    "deadband": "Deadband",
+    "on_delay_s": "On-delay, s",
+    "off_delay_s": "Off-delay, s",
+}
+"""The label of the field for a key of ``[[alarm]]``."""
 UNNAMED = term("New alarm")
 """The name of an alarm that is simulated before it has one."""
 _WITHOUT_FIELD = {"realarm_s", "latch"}
@@ -181,10 +193,20 @@ def _page(
         values_of={place: _values(request, place) for place in _places_of(own)},
         spans=SPANS,
         written=written,
-        fault=None if fault is None else fault.message,
+        fault=None if fault is None else _on_page(fault.message),
         found=found,
         status=200 if fault is None else fault.status,
     )
+
+
+def _on_page(fault: Message) -> Message:
+    """Return a fault with the name that its field has on the page."""
+    several = fault.params.get("messages")
+    if isinstance(several, list):
+        named = [_on_page(each) if isinstance(each, Message) else each for each in several]
+        return Message.of(fault.code, messages=named)
+    label = _LABELS.get(str(fault.params.get("key")))
+    return fault if label is None else Message(fault.code, {**fault.params, "key": term(label)})
 
 
 def _written(form: WrittenAlarm) -> dict[str, str]:

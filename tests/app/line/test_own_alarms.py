@@ -270,7 +270,7 @@ async def test_the_values_of_the_form_have_the_labels_of_the_chosen_unit(house: 
 async def test_the_page_states_why_an_alarm_is_refused(house: House) -> None:
     engineer = await house.signed_in(Role.ENGINEER)
     refused = await engineer.post("/alarms/own", data=FORM | {"on_delay_s": "-1"})
-    assert (refused.status_code, "on_delay_s = -1.0" in refused.text) == (422, True)
+    assert (refused.status_code, "On-delay, s = -1.0" in refused.text) == (422, True)
     assert (await engineer.post("/alarms/own", data=FORM | {"name": " "})).status_code == 422
     assert not house.services[OwnAlarmBook].added
 
