@@ -21,7 +21,7 @@ from app.line.commands.values import (
 )
 from app.line.live.api.view import UnitAddress
 from app.line.live.bus_live import BusLive, UnitLive, follower, unit_link_now
-from bus.catalogue.parameters import RATIO_SETPOINT
+from bus.catalogue.parameters import DECIMALS, RATIO_SETPOINT
 from bus.contract.actions import change_s
 from bus.instants import UnixTime
 from bus.messages import Message, number, term
@@ -29,6 +29,8 @@ from bus.messages import Message, number, term
 SetpointRefusal = Callable[[int, int], Message | None]
 
 NOT_CONFIGURED = Message("unit_not_configured")
+RAW = term("raw")
+"""The measure of a setpoint while the decimals of its unit are not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,7 @@ class RecipeDryRunStep:
     effect: Annotated[MessageObject | None, Field(description="The change; null: it is not configured.")] = (
         None
     )
-    measure: Annotated[str, Field(exclude=True)] = ""
+    measure: Annotated[InstanceOf[Message] | str, Field(exclude=True)] = ""
     scale: Annotated[str, Field(exclude=True)] = ""
     risks: Annotated[tuple[MessageObject, ...], Field(exclude=True)] = ()
 
@@ -126,14 +128,16 @@ def _step(
 ) -> RecipeDryRunStep:
     unit = bus.units.get(setpoint.unit)
     if unit is None:
-        name, new = Message.of("unit_address", unit=setpoint.unit), str(setpoint.raw)
-        return RecipeDryRunStep(setpoint.unit, name, setpoint.raw, None, new, None, NOT_CONFIGURED)
+        name, raw = Message.of("unit_address", unit=setpoint.unit), setpoint.raw
+        return RecipeDryRunStep(setpoint.unit, name, raw, None, str(raw), None, NOT_CONFIGURED, measure=RAW)
     is_silent = unit.reading is None or unit_link_now(bus, unit, now) == "offline"
     present = None if is_silent else present_raw(unit, setpoint.kind)
     ramp = ramp_of(unit, present, setpoint.raw)
     ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
     old = None if present is None else number(setpoint_text(unit, present, setpoint.kind))
-    new, measure = setpoint_text(unit, setpoint.raw, setpoint.kind), measure_of_setpoint(unit)
+    new = setpoint_text(unit, setpoint.raw, setpoint.kind)
+    is_bare = setpoint.kind == "speed" and unit.parameter_raw(DECIMALS) is None
+    measure = RAW if is_bare else measure_of_setpoint(unit)
     return RecipeDryRunStep(
         unit=setpoint.unit,
         name=unit.settings.name,

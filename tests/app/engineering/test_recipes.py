@@ -215,7 +215,7 @@ def test_a_unit_that_is_not_configured_is_named_by_its_address() -> None:
 
 def test_what_a_unit_has_now_is_unknown_until_it_was_read() -> None:
     [step] = steps_of(a_bus(), RecipeSetpoint(1, 1200, "speed"))
-    assert (step.old, in_english(step.effect)) == (None, "becomes 1200; what it has now is not known")
+    assert (step.old, in_english(step.effect)) == (None, "becomes 1200 raw; what it has now is not known")
 
 
 def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:
