@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from decimal import ROUND_HALF_UP, Decimal
 from functools import lru_cache
 
-from bus.catalogue.parameters import PARAMETERS, Parameter, Scale
+from bus.catalogue.parameters import PARAMETERS, IllegalValue, Parameter, Scale
 from bus.errors import CallerError
 from bus.messages import Message, number, term
 
@@ -112,7 +113,8 @@ def speed_raw(text: str, decimals: int) -> int:
     """Return the raw integer for a typed number; point and comma both separate decimals.
 
     More places than ``decimals`` are refused even if they are zeros: in "1.000" for a display with one
-    decimal the point was most likely meant to group thousands. Raise CallerError.
+    decimal the point was most likely meant to group thousands. Raise CallerError, IllegalValue for a number
+    that has a nearest one.
     """
     if decimals > MAX_DECIMALS:
         raise CallerError(Message("decimals_too_many"))
@@ -123,7 +125,9 @@ def speed_raw(text: str, decimals: int) -> int:
     integer_part, part = found[1], found[2] or ""
     if len(part) > decimals:
         code = "value_has_decimals" if decimals else "value_takes_no_decimals"
-        raise CallerError(Message.of(code, number=number(text), count=len(part), allowed=decimals))
+        reason = Message.of(code, number=text, count=len(part), allowed=decimals)
+        nearest = (Decimal(f"{integer_part}.{part}") * 10**decimals).quantize(Decimal(1), ROUND_HALF_UP)
+        raise IllegalValue(reason, int(nearest))
     return int(integer_part + part.ljust(decimals, "0"))
 
 
@@ -246,5 +250,5 @@ def _no_number(text: str, example: Message) -> CallerError:
     if not text:
         return CallerError(Message.of("number_missing", example=example))
     if _NUMBER.fullmatch(text.replace("\N{MINUS SIGN}", "-").removeprefix("-")):
-        return CallerError(Message.of("number_below_zero", number=number(text)))
+        return IllegalValue(Message.of("number_below_zero", number=text), 0)
     return CallerError(Message.of("not_a_number", text=text, example=example))

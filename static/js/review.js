@@ -185,6 +185,18 @@ function mark(source, isBusy) {
   else if (button?.matches(".button")) button.setAttribute("aria-busy", "true");
 }
 
+/** Take away why there is no review of a parameter, which lies over the next row: once its field has changed, by
+ * Escape, and by a press elsewhere. What is typed stays. @param {Event} event */
+function forget(event) {
+  if (event instanceof KeyboardEvent && event.key !== "Escape") return;
+  const cell = /** @type {Element} */ (event.target).closest(".parameters__new");
+  for (const words of document.querySelectorAll(".parameters__error:has(> *)")) {
+    if (event.type !== "keydown" && (words.parentElement === cell) === (event.type === "click")) continue;
+    if (words.contains(document.activeElement)) words.parentElement?.querySelector("input")?.focus();
+    words.replaceChildren();
+  }
+}
+
 /** @param {HTMLElement | null} strip @param {string} reason */
 function explain(strip, reason) {
   const words = document.createElement("p");
@@ -266,10 +278,7 @@ export function start() {
     if (typed)
       content.querySelector("[data-review-act]").disabled = typed.value.trim() !== typed.dataset.typed;
   });
-  // Why there is no review was said of what stood in the field before.
-  document.addEventListener("input", (event) => {
-    /** @type {Element} */ (event.target).closest(".parameters__new")?.querySelector("[role=status]")?.replaceChildren();
-  });
+  for (const kind of ["input", "click", "keydown"]) document.addEventListener(kind, forget);
   document.addEventListener("lineside:lost", lost);
   document.addEventListener("lineside:found", () => {
     if (isModal() && !dialog.open && content.querySelector("[data-ended]")) show();

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.catalogue.parameters import PARAMETERS, Parameter
+from bus.catalogue.parameters import PARAMETERS, IllegalValue, Parameter
 from bus.catalogue.values import (
     analog_input_value,
     analog_output_volts,
@@ -123,6 +125,13 @@ def test_a_text_that_is_not_a_number(text: str) -> None:
 def test_the_fault_of_a_number_is_stated(text: str, error: str) -> None:
     with pytest.raises(CallerError, match=error):
         speed_raw(text, 2)
+
+
+@pytest.mark.parametrize(("text", "nearest"), [("12.55", 126), ("12,549", 125), ("-3", 0)])
+def test_a_refused_number_has_a_nearest_one(text: str, nearest: int) -> None:
+    with pytest.raises(IllegalValue, match=re.escape(text)) as refused:
+        speed_raw(text, 1)
+    assert refused.value.nearest == nearest
 
 
 @pytest.mark.parametrize("text", ["1.000", "1.50", "0,25"])

@@ -197,6 +197,25 @@ async def test_a_raw_value_and_a_choice_are_in_the_readers_language(house: House
     assert "<small>1/min</small>" in speed.text
 
 
+@pytest.mark.parametrize(
+    ("typed", "reason", "offered"),
+    [
+        ("abc", "not a number: &#39;abc&#39;; write it like 123.4", ""),
+        ("-3", "-3 is below 0, the minimum", "0.0"),
+        ("12.55", "12.55 has 2 decimals; this value has at most 1", "12.6"),
+        ("99999", "out of range", "999.9"),
+    ],
+)
+async def test_a_refused_parameter_has_one_pattern(
+    house: House, typed: str, reason: str, offered: str
+) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+    answer = await client.post("/units/dry-end/1/parameters/6/review", data={"value": typed})
+    nearest = f"; the nearest allowed value is {offered}" if offered else ""
+    assert f"{reason}{nearest}; nothing was sent<" in answer.text
+    assert ("data-use" in answer.text) == bool(offered)
+
+
 UNIT = f"/units/{BUS}/1"
 PROTOCOL = re.compile(r"\b8[0-9]h\b|#\d+\b")
 

@@ -42,7 +42,9 @@ from bus.catalogue.parameters import (
     ANALOG_OUT_SOURCE,
     PARAMETERS,
     Parameter,
+    Scale,
     danger_of_writing,
+    nearest_legal,
 )
 from bus.catalogue.values import analog_output_volts, output_is_on, speed_raw, speed_text
 from bus.contract import ReadParameters, Result, UnitScale, WriteAnalogOutput, WriteOutput, WriteParameter
@@ -434,10 +436,17 @@ def _outcome(page: UnitPage, parameter: Parameter, result: Result) -> OutcomeTex
 
 
 def _explain(page: UnitPage, parameter: Parameter, error: CallerError | Problem) -> Response:
-    nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     place = f"#parameter-{parameter.number}-error"
-    if nearest is None or parameter.secret:
-        return page.explain(error, place)
+    nearest = None if parameter.scale is Scale.BAUD else getattr(error, "nearest", None)
     # The rule names raw values; the value typed here is as the unit shows it.
-    shown = parameter_message(parameter, nearest, page.unit)
-    return page.explain(Message.of("parameter_out_of_range", value=shown), place, nearest=shown)
+    reason = error.message
+    if isinstance(error, Problem):
+        if (nearest := error.extra.get("nearest")) is None:
+            return page.explain(error, place)
+        reason = reason if parameter.secret else Message("out_of_range")
+    if nearest is None or parameter.secret:
+        return page.explain(Message.of("nothing_sent", reason=reason), place)
+    lowest, highest = parameter_bounds(page.unit, parameter.number, page.guards.limits(page.id))
+    legal = nearest_legal(parameter, min(max(nearest, lowest), highest))
+    shown = parameter_message(parameter, legal, page.unit)
+    return page.explain(Message.of("value_refused_nearest", reason=reason, value=shown), place, nearest=shown)
