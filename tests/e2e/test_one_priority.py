@@ -91,12 +91,14 @@ COLORS = """section => ["urgent", "high", "medium"].map(level => {
   token.remove();
   return colors;
 })"""
-NUMBER = """section => {
+NUMBERS = """section => ["high", ""].map(alarm => {
   section.dataset.is = "high";
-  const { content, position } = getComputedStyle(section.querySelector(".shape"), "::after");
+  const shape = section.querySelector(".shape");
+  shape.dataset.is = alarm;
+  const { content, position } = getComputedStyle(shape, "::after");
   return [content, position];
-}"""
-"""The number in the shape, which lies over the color there only with a position."""
+})"""
+"""The number in the shape, which lies over the color only with a position; with an alarm and without."""
 
 
 @pytest.mark.soak
@@ -108,4 +110,5 @@ def test_a_priority_has_its_color_on_the_wallboard(site: Site, shared_page: Open
     found = page.locator(f'.section[data-unit="line/{UNIT}"]').evaluate(COLORS)
     assert [drawn for drawn, _ in found] == [stated for _, stated in found]
     assert len({drawn for drawn, _ in found}) == len(found)
-    assert page.locator(f'.section[data-unit="line/{UNIT}"]').evaluate(NUMBER) == ['"2"', "relative"]
+    numbers = page.locator(f'.section[data-unit="line/{UNIT}"]').evaluate(NUMBERS)
+    assert numbers == [['"2"', "relative"], ["none", "static"]]
