@@ -24,7 +24,19 @@ from tests.catalogs import wanted, write
 
 AS_THEY_ARE = {
     *(re.escape(name) for name in ("Mill 7", "Unwind", "Nip", "dry-end", "/dev/null", "m/min", "the-admin")),
-    *("REMOTE", "CSV", "Parquet", "Etc/UTC", "Deutsch", "English", "français", r"\d+ \w+\.? \d{4}", "test"),
+    *(
+        "REMOTE",
+        "LOCAL",
+        "KEYLOCK",
+        "CSV",
+        "Parquet",
+        "Etc/UTC",
+        "Deutsch",
+        "English",
+        "français",
+        r"\d+ \w+\.? \d{4}",
+        "test",
+    ),
 }
 """What the manual or the site calls something, and what has one name in every language."""
 NAMES = re.compile("|".join(sorted(AS_THEY_ARE, key=len, reverse=True)))
