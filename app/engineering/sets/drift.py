@@ -91,8 +91,8 @@ class BusDrift:
         return False if self._golden[unit].rows.keys() - OPERATING_VALUES <= known.keys() else None
 
     def golden_values(self, unit: int) -> dict[int, Message]:
-        """Return the golden value of each parameter that differs from it, by number."""
-        return {one.row.number: one.row.left for one in self.differing(unit)}
+        """Return the golden value of each parameter that differs from it, by number, without its measure."""
+        return {one.row.number: _without_measure(one.row.left) for one in self.differing(unit)}
 
     async def traced(self, unit: int) -> list[DriftedParameter]:
         """Return the drift of a unit after searching the events for each change."""
@@ -149,6 +149,11 @@ class BusDrift:
         if self.differing(unit) != before:
             for subscriber in self._subscribers:
                 subscriber(unit)
+
+
+def _without_measure(value: Message) -> Message:
+    inner = value.params["value"] if value.code == "value_in_measure" else value
+    return inner if isinstance(inner, Message) else value
 
 
 def drift_rows(golden: UnitRows, live: UnitRows) -> list[ParameterDifference]:

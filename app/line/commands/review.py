@@ -75,10 +75,11 @@ def ramp_parameters_missing(unit: UnitLive) -> list[int]:
     return [number for number in (MAX_DISPLAY, ACCELERATION, DECELERATION) if number not in unit.parameters]
 
 
-def nudges(unit: UnitLive) -> tuple[int, int]:
-    """Return the fine and the coarse raw step that suit the unit's span."""
-    span = 10_000 if follower(unit) else unit.parameter_raw(MAX_DISPLAY) or 10_000
-    return _round_number(span / FINE_STEPS), _round_number(span / COARSE_STEPS)
+def nudges(unit: UnitLive) -> tuple[int, ...]:
+    """Return the fine and the coarse raw step that suit the unit's span; none while that was not read, as a
+    step of another size would be taken for the usual one."""
+    span = 10_000 if follower(unit) else unit.parameter_raw(MAX_DISPLAY)
+    return (_round_number(span / FINE_STEPS), _round_number(span / COARSE_STEPS)) if span else ()
 
 
 def _round_number(size: float) -> int:

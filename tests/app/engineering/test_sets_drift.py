@@ -131,6 +131,11 @@ async def test_drift_names_the_command_that_caused_it_and_counts_changes_at_the_
     )
     scene.reads(6, 33)
     scene.reads(7, 34)
+    assert {number: str(value) for number, value in scene.drift.golden_values(1).items()} == {
+        6: "0.0",
+        7: "0.0",
+        12: "0",
+    }
     assert (
         await scene.text()
         == "3 values differ from the golden set: 1 changed by anna 14:20, 2 changed at the keypad"

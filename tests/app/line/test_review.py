@@ -323,3 +323,5 @@ def test_nudges_suit_the_span() -> None:
     assert nudges(live.buses["dry"].units[1]) == (2, 20)
     live.buses["dry"].apply([ParameterValue(unit=1, number=2, at=1, raw=50), reading(1)])
     assert nudges(live.buses["dry"].units[1]) == (1, 1)
+    del live.buses["dry"].units[1].parameters[2]
+    assert nudges(live.buses["dry"].units[1]) == ()

@@ -129,7 +129,7 @@ async def nudge(
 
 def _is_small(page: UnitPage, step: int) -> bool:
     allowed = page.guards.limits(page.id).largest_step
-    return abs(step) <= (max(nudges(page.unit)) if allowed is None else allowed)
+    return abs(step) <= (max(nudges(page.unit), default=0) if allowed is None else allowed)
 
 
 @router.get("/execute", dependencies=[permitted(EXECUTE_SPEED)])

@@ -169,10 +169,10 @@ async def faceplate(_: Viewer, page: PageOfUnit) -> Response:
 def setting(page: UnitPage) -> dict[str, Any]:
     """Return the unit, and the context of the fields for its setpoint."""
     allowed = setpoint_range(page.unit, page.guards.limits(page.id))
-    fine, coarse = nudges(page.unit)
+    small = nudges(page.unit)
     after = page.neighbor(1)
     seams = [draw_seam(page.bus, unit) for unit in (page.id, after.id if after else page.id)]
-    steps = (1, coarse), (1, fine), (-1, fine), (-1, coarse)
+    steps = [(1, step) for step in reversed(small)] + [(-1, step) for step in small]
     return {
         "fields": page.fields(),
         "bus": page.name,
