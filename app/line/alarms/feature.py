@@ -355,7 +355,9 @@ def _add_banner(services: Services, banner: AlarmBanner, observe_age: Callable[[
     def alarms_in(_: Caller | None, language: Language) -> Fields:
         return banner.banner(Translator(language, templates.formats(language.tag)))
 
-    services[Sources].show_alarms(banner.banner, banner.unit_fields, banner.delay_s, observe_age)
+    services[Sources].show_alarms(
+        banner.banner, banner.unit_fields, banner.delay_s, banner.since, observe_age
+    )
     templates.parts["head_alarms"] = alarms_in
 
 

@@ -430,11 +430,21 @@ class AlarmBanner:
     def delay_s(self, place: str, code: str) -> float:
         """Return after how many seconds a condition of a unit (``dry-end/4``) or bus becomes an alarm; 0 if
         it is one, or something hides it."""
-        bus, _, unit = place.partition("/")
-        alarm = self._alarms.known(alarm_key(bus, int(unit) if unit else None, code))
+        alarm = self._of(place, code)
         if alarm is None or alarm.facts.active or alarm.facts.is_hidden:
             return 0.0
         return alarm.definition.attributes.on_delay_s
+
+    def since(self, place: str, code: str) -> UnixTime | None:
+        """Return since when a condition of a unit or bus is an active alarm; None if it is none."""
+        alarm = self._of(place, code)
+        if alarm is None or not alarm.is_annunciated or not alarm.facts.active or alarm.is_unknown:
+            return None
+        return alarm.state_at
+
+    def _of(self, place: str, code: str) -> Alarm | None:
+        bus, _, unit = place.partition("/")
+        return self._alarms.known(alarm_key(bus, int(unit) if unit else None, code))
 
 
 def alarm_counts(active: int, waiting: int, unknown: int = 0) -> tuple[Message, Message | None]:

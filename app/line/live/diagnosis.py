@@ -8,8 +8,8 @@ speed, each rung of which needs the one before.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import ceil
 from typing import Any, Literal
 
@@ -271,6 +271,16 @@ def shown_cause(
     suspected = suspicion(bus, unit)
     others = _others(cause, _draw(bus, unit, now), implausible_of(unit), suspected, blocked, drifted)
     return next(others, cause)
+
+
+def timed_as_alarm(
+    cause: Cause | None, place: str, alarm_since: Callable[[str, str], UnixTime | None]
+) -> Cause | None:
+    """Return a cause with the time at which its alarm came, while that is active: both are said of one unit,
+    and an alarm comes later than its condition by its delay. ``place``: the key of the unit."""
+    row = None if cause is None else TILES.get(cause.code)
+    at = None if row is None else alarm_since(place, row.code)
+    return cause if at is None or cause is None else replace(cause, onset=Onset(at))
 
 
 _BESIDE_RUNNING = frozenset(("not_in_remote", "blocked", "drift"))

@@ -41,6 +41,7 @@ from app.line.live.diagnosis import (
     no_response_cause,
     shown_cause,
     state_counts,
+    timed_as_alarm,
     unit_cause,
 )
 from app.line.live.fields import (
@@ -412,10 +413,12 @@ class Screen:
         block = self.sources.guards[bus_name].block_reason(number)
         blocked = self.translator.t(block) if block is not None else ""
         drifted = self.sources.drift[bus_name].summary(number, self.translator, now)
-        ladder = unit_cause(bus, unit, now)
-        cause = shown_cause(bus, unit, ladder, now, blocked=block, drifted=drifted.words)
-        view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         key = unit_key(bus_name, number)
+        ladder = timed_as_alarm(unit_cause(bus, unit, now), key, self.sources.alarm_since)
+        cause = shown_cause(bus, unit, ladder, now, blocked=block, drifted=drifted.words)
+        if cause is not ladder:
+            cause = timed_as_alarm(cause, key, self.sources.alarm_since)
+        view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         self._views[key] = view
         fields = unit_fields(bus, unit, view.link, self.translator)
         texts = cause_texts(cause, self.translator, now) if cause is not None else None

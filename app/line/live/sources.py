@@ -111,6 +111,8 @@ its name; ``alarm_state``, its state with the time that matters; ``alarm_more``,
 AlarmDelay = Callable[[str, str], float]
 """A function that returns after how many seconds a condition, by its code, of a unit (``dry-end/4``) or bus
 becomes an alarm; 0 if it is one, or something hides it."""
+AlarmSince = Callable[[str, str], UnixTime | None]
+"""A function that returns since when a condition of a unit or bus is an active alarm; None if it is none."""
 LoadedRecipe = Callable[[], tuple[str, list[str | Message]] | None]
 """A function that returns the recipe a bus loaded last and the units that differ from it since, if any."""
 Notice = Callable[[Formats, UnixTime], Message | None]
@@ -120,6 +122,11 @@ Notice = Callable[[Formats, UnixTime], Message | None]
 def no_delay(_place: str, _code: str) -> float:
     """Return 0: no condition becomes an alarm later."""
     return 0.0
+
+
+def no_alarm(_place: str, _code: str) -> UnixTime | None:
+    """Return None: no condition is an alarm."""
+    return None
 
 
 @dataclass(slots=True)
@@ -133,6 +140,7 @@ class Sources:
     banner: AlarmBanner = lambda *_: {}
     unit_alarm: UnitAlarm = lambda *_: {}
     alarm_delay_s: AlarmDelay = no_delay
+    alarm_since: AlarmSince = no_alarm
     observe_age: Callable[[], None] = lambda: None
     notices: list[Notice] = field(default_factory=list)
     history_fault: Callable[[], Message | None] = lambda: None
@@ -142,11 +150,12 @@ class Sources:
         banner: AlarmBanner,
         unit_alarm: UnitAlarm,
         delay_s: AlarmDelay,
+        since: AlarmSince,
         observe_age: Callable[[], None],
     ) -> None:
         """Show the alarms that these functions return, from now on."""
-        self.banner, self.unit_alarm, self.alarm_delay_s = banner, unit_alarm, delay_s
-        self.observe_age = observe_age
+        self.banner, self.unit_alarm, self.observe_age = banner, unit_alarm, observe_age
+        self.alarm_delay_s, self.alarm_since = delay_s, since
 
     def notice(self, translator: Translator, now: UnixTime) -> str:
         """Return the faults of the server's records in the reader's language; mostly empty."""

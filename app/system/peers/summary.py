@@ -27,11 +27,12 @@ from app.line.live.diagnosis import (
     no_response_cause,
     shown_cause,
     state_counts,
+    timed_as_alarm,
     unit_cause,
 )
 from app.line.live.fields import Translator, unit_key
 from app.line.live.screen import LEVELS, all_well
-from app.line.live.sources import AlarmDelay, Sources, no_delay
+from app.line.live.sources import AlarmDelay, AlarmSince, Sources, no_alarm, no_delay
 from app.people.audit.entry import EventKind
 from app.people.audit.log import Event, EventLog, Filter, Logged
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
@@ -178,10 +179,18 @@ def summary_of(
     )
 
 
-def view_of(bus: BusLive, number: int, blocked: Message | None, drifted: str, now: UnixTime) -> UnitView:
+def view_of(
+    bus: BusLive,
+    number: int,
+    blocked: Message | None,
+    drifted: str,
+    now: UnixTime,
+    alarm_since: AlarmSince = no_alarm,
+) -> UnitView:
     """Return the view of a unit for a tile of its line."""
     unit = bus.units[number]
     cause = shown_cause(bus, unit, unit_cause(bus, unit, now), now, blocked=blocked, drifted=drifted)
+    cause = timed_as_alarm(cause, unit_key(bus.settings.name, number), alarm_since)
     return UnitView(unit, unit_link_now(bus, unit, now), cause)
 
 
@@ -341,6 +350,7 @@ class OwnLines:
                 guards.block_reason(number),
                 drift.summary(number, self.english, now).words,
                 now,
+                self.sources.alarm_since,
             )
             for number in bus.units
         ]

@@ -440,8 +440,8 @@ async def test_every_page_counts_the_alarms_before_a_script_runs(house: House) -
     assert words[2].startswith("aktiv seit")
 
 
-def facts_of(house: House, unit: int = 1) -> AlarmFacts:
-    return house.services[LineAlarms].buses[BUS].list.alarms[f"{BUS}.{unit}.estop_active"].facts
+def facts_of(house: House, unit: int = 1, code: str = "estop_active") -> AlarmFacts:
+    return house.services[LineAlarms].buses[BUS].list.alarms[f"{BUS}.{unit}.{code}"].facts
 
 
 async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_priority(house: House) -> None:
@@ -465,6 +465,8 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
     assert banner.delay_s(f"{BUS}/2", "not_in_remote") == 5
     remote_off(house, unit=2)
     assert banner.delay_s(f"{BUS}/2", "not_in_remote") == 0, "it is in the list"
+    assert banner.since(f"{BUS}/2", "not_in_remote") == facts_of(house, 2, "not_in_remote").came
+    assert banner.since(f"{BUS}/1", "estop_active") is None, "it has cleared"
     assert (banner.delay_s(BUS, "worker_lost"), banner.delay_s(BUS, "no_unit_yet")) == (10, 0)
     assert shown() == ("low waiting", "1 alarm active", "2 to acknowledge")
     await operator.post("/alarms/acknowledge", data={"id": f"{BUS}.2.not_in_remote.1"})

@@ -248,6 +248,16 @@ def test_until_a_cause_is_an_alarm_the_verdict_says_when_it_will_be() -> None:
         assert shown.shown["line_summary"]["named"] == named
 
 
+def test_a_cause_that_is_an_alarm_is_told_with_the_time_of_the_alarm() -> None:
+    live = line()
+    shown = screen(live)
+    shown.sources.alarm_since = lambda *of: UnixTime(260.0) if of == ("dry/2", "estop_active") else None
+    live.buses["dry"].apply([reading(2, at=258.0, inputs=1)])
+    shown.render("dry", [2], UnixTime(260.2), include_bus=False)
+    assert str(shown.shown["dry/2"]["status"]).endswith("since 00:04")
+    assert str(shown.shown["line_summary"]["cause"]).endswith("since 00:04")
+
+
 def figures(scan_s: float = 0.3) -> BusFigures:
     return BusFigures(at=100.0, scan_hz=3, scan_s=scan_s, wire_utilisation=0.9, scan_s_with_one_more=0.4)
 
