@@ -59,7 +59,9 @@ PlaceScales = Mapping[ValuePlace, UnitScale]
 """The scale that showed each change when it was added."""
 
 
-class _Tray(NamedTuple):
+class Tray(NamedTuple):
+    """What one sender has gathered, in the order of adding, and when the last change was added."""
+
     changes: Values
     scales: PlaceScales
     added_at: Monotonic
@@ -69,7 +71,7 @@ class Trays:
     """The trays of one bus, by sender (`Person.sender`)."""
 
     def __init__(self) -> None:
-        self._trays: OrderedDict[str, _Tray] = OrderedDict()
+        self._trays: OrderedDict[str, Tray] = OrderedDict()
 
     def changes(self, sender: str, now: Monotonic) -> Values:
         """Return the changes that a sender has gathered, in the order of adding."""
@@ -86,7 +88,15 @@ class Trays:
         held = {**self.changes(sender, now), **changes}
         if len(held) > MAX_CHANGES:
             raise Problem(422, "invalid", Message.of("tray_full", most=MAX_CHANGES))
-        self._trays[sender] = _Tray(held, {**self.scales(sender), **scales}, now)
+        self.put(sender, Tray(held, {**self.scales(sender), **scales}, now))
+
+    def tray(self, sender: str) -> Tray | None:
+        """Return the tray of a sender, however old it is."""
+        return self._trays.get(sender)
+
+    def put(self, sender: str, tray: Tray) -> None:
+        """Set the tray of a sender as the newest."""
+        self._trays[sender] = tray
         self._trays.move_to_end(sender)
         while len(self._trays) > MAX_TRAYS:
             self._trays.popitem(last=False)

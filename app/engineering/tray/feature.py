@@ -7,7 +7,7 @@ import asyncio
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from contextlib import AbstractAsyncContextManager, suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
@@ -15,6 +15,7 @@ from fastapi import APIRouter, Form
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from app.core.database import Database
 from app.core.find.finders import Finders, FixedPlace
 from app.core.messages import Language
 from app.core.web.access import Caller, Person
@@ -38,6 +39,7 @@ from app.engineering.tray.contents import (
     unable_units,
     value_row,
 )
+from app.engineering.tray.store import TrayStore
 from app.errors import Problem
 from app.feature import Feature, Services
 from app.line.commands.catalogue import (
@@ -67,6 +69,7 @@ from app.line.commands.values import (
     setpoint_message,
 )
 from app.line.live.bus_live import BusLive
+from app.people.audit.log import EventLog
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Result, UnitOutcome, UnitScale
 from bus.errors import CallerError
@@ -79,7 +82,8 @@ class OwnTray:
 
     def __init__(self, page: BusPage) -> None:
         self.page = page
-        self._trays = bus_service_of(page.request, page.name, Trays)
+        self._store = bus_service_of(page.request, page.name, TrayStore)
+        self._trays = self._store.trays
 
     @property
     def changes(self) -> Values:
@@ -111,10 +115,16 @@ class OwnTray:
             action = action_for({place: raw})
             await self.page.commands.check_for_later(self.page.person, action, deadline)
         self._trays.add(self.page.person.sender, changes, monotonic_now(), shown_with)
+        await self._store.save(self.page.person.sender)
 
-    def remove(self, changes: Values) -> None:
+    async def remove(self, changes: Values) -> None:
         """Remove changes, except those whose value has changed meanwhile."""
         self._trays.remove(self.page.person.sender, changes)
+        await self._store.save(self.page.person.sender)
+
+    def sending(self, changes: Values) -> AbstractAsyncContextManager[None]:
+        """Return the context in which changes are sent and removed: no restart shows them as unsent."""
+        return self._store.sending(self.page.person.sender, changes)
 
     def rows(self) -> list[TrayRow]:
         """Check every change against its unit's present state."""
@@ -309,7 +319,7 @@ async def remove_from_tray(page: PageOfBus, place: Annotated[str, Form(max_lengt
     """Remove one change or, without a place, all changes of the bus."""
     tray = OwnTray(page)
     held, named = tray.changes, place_of(place)
-    tray.remove({each: raw for each, raw in held.items() if not place or each == named})
+    await tray.remove({each: raw for each, raw in held.items() if not place or each == named})
     return _review(page, tray) if _is_in_page(page) else RedirectResponse("/tray", SEE_OTHER)
 
 
@@ -367,12 +377,13 @@ async def send_tray(
         if any(each.danger for each in rows) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
         changes = {each.place: each.raw for each in rows}
-        results = await send_changes(
-            page.commands, page.person, page.bus, changes, confirmed.id, page.made_at, tray.scales
-        )
+        async with tray.sending(changes):
+            results = await send_changes(
+                page.commands, page.person, page.bus, changes, confirmed.id, page.made_at, tray.scales
+            )
+            await tray.remove({result.place: result.raw for result in results if result.is_done})
     except Problem as problem:
         return _refused(page, problem)
-    tray.remove({result.place: result.raw for result in results if result.is_done})
     return _done(page, rows, results, left_out)
 
 
@@ -614,8 +625,9 @@ def _new_values(bus: BusLive, changes: Values, language: Language) -> dict[str, 
 
 
 def make(services: Services) -> None:
-    for bus in services.buses.values():
-        bus.add(Trays())
+    for name, bus in services.buses.items():
+        store = TrayStore(bus[BusLive], bus.add(Trays()), services[Database], services[EventLog])
+        services.lifespan.add(f"change trays of {name}", start=bus.add(store).load)
     trays_of, lives = services.of_buses(Trays), services.of_buses(BusLive)
 
     def counted(person: Caller | None, language: Language) -> list[TrayCount]:

@@ -28,6 +28,7 @@ from app.engineering.tray.contents import (
     unable_units,
 )
 from app.engineering.tray.feature import TrayResult, send_changes, tray_rows
+from app.engineering.tray.store import TrayStore
 from app.errors import Problem
 from app.line.commands.limits import NO_LIMITS
 from app.line.commands.review import change_of
@@ -53,7 +54,7 @@ from bus.contract import (
 from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message, in_english
 from bus.settings import UnitLabels
-from tests.app.complete_app import HOST, House, complete_app
+from tests.app.complete_app import HOST, House, complete_app, settings_in
 from tests.app.fake_worker import PlayedWorker, reading, result_of
 from tests.app.played_commands import HEALTHY, a_bus, fresh, responding
 from tests.for_each import for_each
@@ -625,3 +626,68 @@ async def test_a_browser_without_scripts_has_pages(house: House) -> None:
     removed = await browser.post("/bus/dry-end/tray/remove", data={"place": "setpoint-1-0"})
     assert (removed.status_code, removed.headers["location"]) == (303, "/tray")
     assert "The change tray is empty" in (await browser.get("/tray")).text
+
+
+async def words_of_server(house: House) -> list[str]:
+    """What the events say of trays."""
+    return [event["what"] for event in await house.events("server") if "tray" in event["what"]]
+
+
+async def test_a_restart_keeps_the_tray_with_the_scales_and_names_what_is_dropped(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        responding(house.services[LiveState])
+        await house.signed_in(Role.ENGINEER)
+        await add(house, 2)
+        await post(house, "/units/dry-end/1/tray/parameters/6", raw="75", scale="-")
+        await add(house, 1)
+        await post(house, "/bus/dry-end/tray/remove", place="setpoint-1-0")
+        before = house.services.buses["dry-end"][TrayStore].trays
+        [sender] = before._trays
+    async with complete_app(tmp_path) as house:
+        responding(house.services[LiveState])
+        trays = house.services.buses["dry-end"][TrayStore].trays
+        assert trays.changes(sender, monotonic_now()) == {SPEED_2: 1500, RAMP: 75}
+        assert trays.scales(sender)[SPEED_2] == before.scales(sender)[SPEED_2] != {}
+        await house.signed_in(Role.ENGINEER)
+        assert await review_rows(house) == ["setpoint-2-0:1500:1000", "parameter-1-6:75:100"]
+        assert await words_of_server(house) == []
+    [bus] = settings_in(tmp_path).bus
+    only_unwind = bus.model_copy(update={"unit": bus.unit[:1]})
+    for _ in range(2):
+        async with complete_app(tmp_path, bus=only_unwind) as house:
+            trays = house.services.buses["dry-end"][TrayStore].trays
+            assert trays.changes(sender, monotonic_now()) == {RAMP: 75}
+            assert await words_of_server(house) == [
+                "1 change dropped from the tray of the-engineer: no longer in the configuration: unit 2"
+            ]
+
+
+async def test_what_was_being_sent_when_the_server_ended_is_not_back_as_unsent(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        responding(house.services[LiveState])
+        await house.signed_in(Role.ENGINEER)
+        await add(house, 1)
+        await add(house, 2)
+        kept = house.services.buses["dry-end"][TrayStore]
+        [sender] = kept.trays._trays
+        under_way = kept.sending(sender, {SPEED_1: 1500})
+        await under_way.__aenter__()
+        await post(house, "/units/dry-end/1/tray/parameters/6", raw="75", scale="-")
+    async with complete_app(tmp_path) as house:
+        trays = house.services.buses["dry-end"][TrayStore].trays
+        assert trays.changes(sender, monotonic_now()) == {SPEED_2: 1500, RAMP: 75}
+        [words] = await words_of_server(house)
+        assert words.startswith("1 change from the tray of the-engineer was being sent when the server ended")
+
+
+async def test_what_was_not_sent_stays_on_disk(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        responding(house.services[LiveState])
+        await house.signed_in(Role.ENGINEER)
+        await add(house)
+        assert "0 of 1 change made" in (await press_send(house)).text
+    async with complete_app(tmp_path) as house:
+        responding(house.services[LiveState])
+        await house.signed_in(Role.ENGINEER)
+        assert await review_rows(house) == ["setpoint-1-0:1500:1000"]
+        assert await words_of_server(house) == []
