@@ -190,6 +190,12 @@ function mark(source, isBusy) {
 function forget(event) {
   if (event instanceof KeyboardEvent && event.key !== "Escape") return;
   const cell = /** @type {Element} */ (event.target).closest(".parameters__new");
+  // Beside a field of many it keeps its place, so that no field below moves.
+  const beside = /** @type {Element} */ (event.target).closest("td")?.querySelector(".batch-error");
+  if (beside && event.type === "input") {
+    beside.setAttribute("data-over", "");
+    beside.parentElement?.querySelector("input")?.removeAttribute("aria-invalid");
+  }
   for (const words of document.querySelectorAll(".parameters__error:has(> *)")) {
     if (event.type !== "keydown" && (words.parentElement === cell) === (event.type === "click")) continue;
     if (words.contains(document.activeElement)) words.parentElement?.querySelector("input")?.focus();
@@ -319,7 +325,8 @@ export function start() {
     document.dispatchEvent(new CustomEvent("lineside:reported"));
     // A message beside a field may be outside the window: on a phone the button is a pad below it. Scroll only for
     // the person who clicked; what sticks to the foot of the window is always in it.
-    if (!target.closest(".tray, .parameters-report")) target.scrollIntoView({ block: "nearest" });
+    const wrong = target.closest("form")?.querySelector("td > [aria-invalid]")?.closest("tr");
+    if (!target.closest(".tray, .parameters-report")) (wrong ?? target).scrollIntoView({ block: "nearest" });
   });
   document.addEventListener("htmx:error", (event) => {
     const form = content.querySelector("[data-pending]");

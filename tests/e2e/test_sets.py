@@ -181,12 +181,17 @@ def test_one_parameter_over_many_units(site: Site, shared_page: OpensPages) -> N
     expect(page.locator("#review")).to_contain_text("2.5")
     assert len(writes(site, 0x86)) == before
     page.get_by_role("button", name=re.compile("Write Up to Speed Tolerance to 2 units")).click()
-    expect(page.get_by_text("2 of 2 units verified")).to_be_visible()
+    strip = page.locator("#batch-result")
+    expect(strip).to_contain_text("2 of 2 units verified")
+    expect(page.locator("#review")).to_be_hidden()
     assert len(writes(site, 0x86)) == before + 2
-    page.get_by_role("button", name="Close").click()
     unwind = page.locator("#batch-rows tr", has_text="Unwind")
     expect(unwind).to_contain_text("2.5")
     expect(unwind.get_by_role("textbox")).to_have_value("")
+    strip.get_by_role("button", name="Undo: write the former values").click()
+    page.get_by_role("button", name=re.compile("Write Up to Speed Tolerance to 2 units")).click()
+    expect(unwind).not_to_contain_text("2.5")
+    expect(strip).to_contain_text("2 of 2 units verified")
 
 
 @pytest.mark.soak

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Form, Request, Response
 from starlette.datastructures import FormData
 
 from app.core.web.access import Person
@@ -17,10 +18,12 @@ from app.core.web.shape import parse_integer
 from app.engineering.sets.model import UnitRows, known_rows, status_of, with_unit
 from app.errors import Problem
 from app.line.commands.effects import OPERATING_VALUES, effect_message, warning_of
-from app.line.commands.page_context import PageOfBus
-from app.line.commands.review import by_remark
+from app.line.commands.limits import Limits
+from app.line.commands.page_context import BusPage, PageOfBus, new_id
+from app.line.commands.review import OutcomeText, Tone, by_remark, parameter_outcome, refused_parameter
+from app.line.commands.rules import objection
 from app.line.commands.service import CommandService, ParameterWriter
-from app.line.commands.values import parameter_scale
+from app.line.commands.values import parameter_message, parameter_scale
 from app.line.live.bus_live import BusLive, UnitLive, is_driven
 from bus.catalogue.parameters import (
     DECIMALS,
@@ -28,11 +31,12 @@ from bus.catalogue.parameters import (
     PARAMETERS,
     Parameter,
     Scale,
-    check_writable_value,
+    nearest_legal,
 )
 from bus.catalogue.values import StatusBits, is_follower, parameter_raw
-from bus.contract import ReadParameters, UnitScale, WriteParameter
+from bus.contract import ReadParameters, Result, UnitScale, WriteParameter
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import Message
 
 _OF_THE_PERSON = frozenset({"forbidden", "rights_withdrawn", "controlled"})
@@ -45,8 +49,8 @@ _LEARN_WITHIN_S = 10.0
 class BatchRow:
     """A unit of a batch, with the text that was ``typed`` for it.
 
-    ``wanted``: the raw value to write, if any; ``fault``: the reason why the text is refused; ``warning``:
-    the effect of the write on the machine now.
+    ``wanted``: the raw value to write, if any; ``fault``: the reason why the text is refused, and
+    ``nearest`` what is not; ``warning``: the effect of the write on the machine now.
     """
 
     unit: int
@@ -61,6 +65,7 @@ class BatchRow:
     """The scale that converted ``typed``."""
     shown: Message | None = None
     fault: Message | None = None
+    nearest: Message | str = ""
     warning: Message | None = None
 
     @property
@@ -71,18 +76,35 @@ class BatchRow:
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """The result at one unit; ``outcome``: of the command, or the code of its refusal."""
+    """The result at one unit. ``id``: of its command; ``part``: the result, or why nothing was sent."""
 
-    unit: int
-    name: str
-    outcome: str
-    message: Message | None
+    row: BatchRow
+    id: str
+    part: Result | Problem | Message
 
 
-def rows_of_batch(bus: BusLive, number: int, typed: Mapping[int, str]) -> list[BatchRow]:
-    """Return one row for each unit of the bus, with its present value and its typed text."""
+@dataclass(frozen=True, slots=True)
+class BatchUndo:
+    """The undo of a batch, as a page offers it: a batch with the former values, of which ``href`` makes the
+    review. The other fields are those of `UndoOffer`."""
+
+    href: str
+    values: dict[str, str]
+    text: Message
+    until: UnixTime
+    sets_speed: bool = False
+
+
+def rows_of_batch(
+    bus: BusLive,
+    number: int,
+    typed: Mapping[int, str],
+    limits: Callable[[int], Limits] = lambda _: Limits(),
+) -> list[BatchRow]:
+    """Return one row for each unit of the bus, with its present value and its typed text. ``limits``: those
+    of a unit, which bound what is offered in place of a refused value."""
     return [
-        _row(unit, PARAMETERS[number], typed.get(key, "").strip(), status_of(bus, unit))
+        _row(unit, PARAMETERS[number], typed.get(key, "").strip(), status_of(bus, unit), limits(key))
         for key, unit in bus.units.items()
     ]
 
@@ -113,23 +135,26 @@ async def learn(commands: CommandService, person: Person, bus: BusLive, number: 
 
 
 async def write_batch(
-    commands: CommandService, person: Person, number: int, rows: list[BatchRow], *, confirm: bool
+    commands: CommandService, person: Person, number: int, rows: list[BatchRow], id: str, *, confirm: bool
 ) -> list[BatchResult]:
-    """Write the rows that change a value, one after another. A refusal that concerns the person ends the
-    batch; a refusal that concerns one unit does not."""
+    """Write the rows that change a value, one after another, each with its own id from ``id``. A refusal that
+    concerns the person ends the batch; a refusal that concerns one unit does not."""
     results: list[BatchResult] = []
     stopped_by: Message | None = None
     for row in rows:
-        if row.changes and stopped_by:
-            results.append(BatchResult(row.unit, row.name, "not_sent", stopped_by))
-        elif row.changes:
-            result = await _write(commands, person, number, row, confirm=confirm)
-            results.append(result)
-            stopped_by = result.message if result.outcome in _OF_THE_PERSON else None
+        if not row.changes:
+            continue
+        key = f"{id}-{row.unit}"
+        part = stopped_by or await _write(commands, person, number, row, key, confirm=confirm)
+        results.append(BatchResult(row, key, part))
+        if isinstance(part, Problem) and part.code in _OF_THE_PERSON:
+            stopped_by = part.message
     return results
 
 
-def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | None) -> BatchRow:
+def _row(
+    unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | None, limits: Limits
+) -> BatchRow:
     known = known_rows(unit)
     raw = unit.parameter_raw(parameter.number)
     present = Message("value_not_known") if raw is None else _shown(parameter, raw, known)
@@ -142,9 +167,11 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
             raise CallerError(Message.of("unit_mode_unknown", unit=unit.settings.id))
         follower = is_follower(unit.parameter_raw(FOLLOWER_MODE))
         wanted = parameter_raw(parameter, typed, unit.parameter_raw(DECIMALS), follower=follower)
-        check_writable_value(parameter, wanted)
-    except CallerError as error:
-        return replace(row, fault=error.message)
+        if (legal := nearest_legal(parameter, wanted)) != wanted:
+            raise objection("invalid", Message("out_of_range"), nearest=legal)
+    except (CallerError, Problem) as error:
+        fault, nearest = refused_parameter(unit, parameter, error, limits)
+        return replace(row, fault=fault, nearest=nearest)
     shown = _shown(parameter, wanted, known)
     warning = warning_of(parameter.number, wanted, running=None if status is None else is_driven(status))
     scale = parameter_scale(unit, parameter.number, wanted)
@@ -156,16 +183,15 @@ def _shown(parameter: Parameter, raw: int, known: UnitRows) -> Message:
 
 
 async def _write(
-    commands: CommandService, person: Person, number: int, row: BatchRow, *, confirm: bool
-) -> BatchResult:
+    commands: CommandService, person: Person, number: int, row: BatchRow, id: str, *, confirm: bool
+) -> Result | Problem:
     action = WriteParameter(unit=row.unit, number=number, raw=row.wanted or 0)
     try:
-        result = await commands.send(
-            person, action, confirm=confirm, origin="batch edit", scales={row.unit: row.scale}
+        return await commands.send(
+            person, action, confirm=confirm, id=id, origin="batch edit", scales={row.unit: row.scale}
         )
     except Problem as problem:
-        return BatchResult(row.unit, row.name, problem.code, problem.message)
-    return BatchResult(row.unit, row.name, result.outcome, result.message)
+        return problem
 
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
@@ -191,9 +217,11 @@ async def batch_review(request: Request, _: ParameterWriter, page: PageOfBus) ->
     """Show row by row the writes that would be sent, and which units take none and why; send none."""
     number, typed = await typed_batch(request)
     parameter = writable_or_404(number)
-    rows = rows_of_batch(page.bus, number, typed)
+    rows = rows_of_batch(page.bus, number, typed, page.guards.limits)
     unable = {row.unit: reason for row in rows if row.typed and (reason := page.obstacle(row.unit))}
-    return page.render(
+    if any(row.fault for row in rows) or not any(row.changes and row.unit not in unable for row in rows):
+        return refused_batch(page, parameter, rows)
+    return page.review(
         "sets/_batch_review.html",
         bus=page.name,
         parameter=parameter,
@@ -203,25 +231,80 @@ async def batch_review(request: Request, _: ParameterWriter, page: PageOfBus) ->
     )
 
 
+def refused_batch(page: BusPage, parameter: Parameter, rows: list[BatchRow]) -> Response:
+    """Say in place why there is no review, at the field of each refused value."""
+    response = page.render(
+        "sets/_batch_refused.html",
+        status=422,
+        fields=page.fields(),
+        bus=page.name,
+        parameter=parameter,
+        rows=rows,
+        typed=any(row.changes for row in rows),
+    )
+    response.headers["HX-Retarget"] = "#batch-error"
+    return response
+
+
 @router.post("/batch/{bus}/write")
-async def batch_write(request: Request, person: ParameterWriter, page: PageOfBus) -> Response:
-    """Write the values that the review showed."""
+async def batch_write(
+    request: Request, person: ParameterWriter, page: PageOfBus, id: Annotated[str, Form(max_length=40)] = ""
+) -> Response:
+    """Write the values that the review showed. ``id``: of the form."""
     number, typed = await typed_batch(request)
     parameter = writable_or_404(number)
     rows = rows_of_batch(page.bus, number, typed)
-    if any(row.fault for row in rows):
-        raise Problem(422, "invalid", Message("value_not_writable"))
-    refuse_moved(rows, _by_unit(await request.form(), "was-"))
-    results = await write_batch(page.commands, person, number, rows, confirm=bool(parameter.dangerous))
-    undone = {result.unit for result in results if result.outcome != "verified"}
+    try:
+        if any(row.fault for row in rows):
+            raise Problem(422, "invalid", Message("value_not_writable"))
+        refuse_moved(rows, _by_unit(await request.form(), "was-"))
+    except Problem as problem:
+        return page.not_sent(problem)
+    confirm = bool(parameter.dangerous)
+    results = await write_batch(page.commands, person, number, rows, id or new_id(), confirm=confirm)
+    proofs = [
+        (each.row.name, each.row.shown, _outcome(page.bus.units[each.row.unit], parameter, each.part))
+        for each in results
+    ]
+    tones = {outcome.tone for _, _, outcome in proofs}
+    tone: Tone = "unknown" if "unknown" in tones else "bad" if "bad" in tones else "good"
+    good = sum(outcome.tone == "good" for _, _, outcome in proofs)
+    in_all = OutcomeText(tone, Message.of("result_of_some", n=len(proofs), good=good))
+    kept = {
+        each.row.unit: each.row.typed
+        for each, (_, _, outcome) in zip(results, proofs, strict=True)
+        if outcome.tone != "good"
+    }
     return page.render(
         "sets/_batch_done.html",
         fields=page.fields(),
         bus=page.name,
         parameter=parameter,
-        results=results,
-        rows=rows_of_batch(page.bus, number, {unit: typed[unit] for unit in undone}),
+        proofs=proofs,
+        undo=_undo(page, parameter, results),
+        outcome=proofs[0][2] if len(proofs) == 1 else in_all,
+        skew=None,
+        rows=rows_of_batch(page.bus, number, kept),
     )
+
+
+def _undo(page: BusPage, parameter: Parameter, results: list[BatchResult]) -> BatchUndo | None:
+    offers = [offer for each in results if (offer := page.undo(each.id)) is not None]
+    if not offers:
+        return None
+    values = {"number": str(parameter.number)} | {
+        f"unit-{action.unit}": str(parameter_message(parameter, action.raw, page.bus.units[action.unit]))
+        for offer in offers
+        if isinstance(action := offer.action, WriteParameter)
+    }
+    text = offers[0].text if len(offers) == 1 else Message("undo_parameters")
+    return BatchUndo(f"/batch/{page.name}/review", values, text, min(offer.until for offer in offers))
+
+
+def _outcome(unit: UnitLive, parameter: Parameter, part: Result | Problem | Message) -> OutcomeText:
+    if not isinstance(part, Result):
+        return OutcomeText("bad", part if isinstance(part, Message) else part.message)
+    return parameter_outcome(unit, parameter, part)
 
 
 async def typed_batch(request: Request) -> tuple[int, dict[int, str]]:

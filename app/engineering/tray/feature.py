@@ -25,7 +25,7 @@ from app.core.web.services import bus_service_of
 from app.core.web.templating import Templates
 from app.engineering.recipes.api import KnownRecipe
 from app.engineering.recipes.rules import why_not_setpoint
-from app.engineering.sets.batch import rows_of_batch, typed_batch, writable_or_404
+from app.engineering.sets.batch import refused_batch, rows_of_batch, typed_batch, writable_or_404
 from app.engineering.sets.lookup import KnownRestore, Restores
 from app.engineering.sets.pages import Ticks, ticked
 from app.engineering.tray.contents import (
@@ -570,12 +570,11 @@ async def add_recipe(page: Page, recipe: KnownRecipe) -> Response:
 async def add_batch(request: Request, _: ParameterWriter, page: PageOfBus) -> Response:
     """Add each value of a batch edit that differs from its unit's."""
     number, typed = await typed_batch(request)
-    writable_or_404(number)
-    rows = rows_of_batch(page.bus, number, typed)
+    parameter = writable_or_404(number)
+    rows = rows_of_batch(page.bus, number, typed, page.guards.limits)
+    if any(row.fault for row in rows):
+        return refused_batch(page, parameter, rows)
     try:
-        for row in rows:
-            if row.fault is not None:
-                raise Problem(422, "invalid", Message.of("of_unit", name=row.name, reason=row.fault))
         changes = {
             ValuePlace("parameter", row.unit, number): row.wanted
             for row in rows

@@ -60,8 +60,9 @@ class CommandRequest:
 
     @property
     def can_be_undone(self) -> bool:
-        """Whether a person has sent it from a page, as a command, in a change tray or by a recipe."""
-        from_page = self.origin in ("page", "change tray") or isinstance(self.origin, Message)
+        """Whether a person has sent it from a page, as a command, in a batch edit or a change tray, or by a
+        recipe."""
+        from_page = self.origin in ("page", "batch edit", "change tray") or isinstance(self.origin, Message)
         return self.person.via != "token" and from_page
 
 

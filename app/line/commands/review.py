@@ -12,11 +12,13 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Literal, NamedTuple
 
+from app.errors import Problem
 from app.line.commands.limits import HIGHEST_SETPOINT, Limits
-from app.line.commands.rules import commanded_setpoint, kind_of, setpoint_range
+from app.line.commands.rules import commanded_setpoint, kind_of, parameter_bounds, setpoint_range
 from app.line.commands.values import (
     in_measure,
     measure_of_setpoint,
+    parameter_message,
     scale_text,
     setpoint_message,
     setpoint_scale,
@@ -32,9 +34,18 @@ from app.line.live.bus_live import (
     ramp_seconds,
     unit_link_now,
 )
-from bus.catalogue.parameters import ACCELERATION, DECELERATION, DECIMALS, MAX_DISPLAY, RATIO_SETPOINT
+from bus.catalogue.parameters import (
+    ACCELERATION,
+    DECELERATION,
+    DECIMALS,
+    MAX_DISPLAY,
+    RATIO_SETPOINT,
+    Parameter,
+    Scale,
+    nearest_legal,
+)
 from bus.contract import Outcome, Result, UnitOutcome, UnitScale
-from bus.errors import unit_error
+from bus.errors import CallerError, unit_error
 from bus.instants import UnixTime
 from bus.messages import Message, number
 from bus.settings import DrawBand, Seam
@@ -242,6 +253,23 @@ class DrawChange(NamedTuple):
     is_out: bool
 
 
+def refused_parameter(
+    unit: UnitLive, parameter: Parameter, error: CallerError | Problem, limits: Limits
+) -> tuple[Message, Message | str]:
+    """Return why a typed value of a parameter is refused, and the nearest that is not, if there is one; both
+    as the unit shows values, and not raw as the rules name them."""
+    nearest = None if parameter.scale is Scale.BAUD else getattr(error, "nearest", None)
+    reason = error.message
+    if isinstance(error, Problem):
+        nearest = error.extra.get("nearest")
+        reason = reason if parameter.secret else Message("out_of_range")
+    if nearest is None or parameter.secret:
+        return Message.of("nothing_sent", reason=reason), ""
+    lowest, highest = parameter_bounds(unit, parameter.number, limits)
+    shown = parameter_message(parameter, nearest_legal(parameter, min(max(nearest, lowest), highest)), unit)
+    return Message.of("value_refused_nearest", reason=reason, value=shown), shown
+
+
 def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]:
     """Return each draw that these setpoints, raw by unit, move out of its band, or change without a band:
     what is out of its band first, what has no draw now after it, each in floor order, and in one line those
@@ -373,6 +401,14 @@ def outcome_text(result: Result | UnitOutcome, shown: Callable[[int], str | Mess
     if result.read_back is not None and result.outcome in _READ_BACK:
         return OutcomeText(tone, Message.of(_READ_BACK[result.outcome], value=shown(result.read_back)))
     return OutcomeText(tone, Message(code))
+
+
+def parameter_outcome(unit: UnitLive, parameter: Parameter, result: Result) -> OutcomeText:
+    """Return words for the result of writing a parameter, its value as the unit shows it."""
+    if parameter.secret and result.outcome == "unverified" and result.message:
+        # This gives the reason in words: the value that was read back is not here.
+        return OutcomeText("unknown", result.message)
+    return outcome_text(result, lambda raw: parameter_message(parameter, raw, unit))
 
 
 def _explains(result: Result | UnitOutcome) -> bool:

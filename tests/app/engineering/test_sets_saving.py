@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -300,7 +301,8 @@ def test_a_speed_or_ratio_is_not_converted_while_it_is_not_known_which_it_is() -
     assert [row.wanted for row in typed(live, 9, "1.5", "")] == [15, None]
     del unit.parameters[8]
     [row, _] = typed(live, 9, "1.5", "")
-    assert (row.wanted, row.fault) == (None, Message.of("unit_mode_unknown", unit=1))
+    reason = Message.of("unit_mode_unknown", unit=1)
+    assert (row.wanted, row.fault) == (None, Message.of("nothing_sent", reason=reason))
 
 
 def test_a_value_that_moved_since_the_review_is_not_written() -> None:
@@ -314,6 +316,22 @@ def test_a_value_that_moved_since_the_review_is_not_written() -> None:
     with pytest.raises(Problem, match="Unwind: the value has changed") as refused:
         refuse_moved(typed(live, 6, "20", ""), reviewed)
     assert (refused.value.status, refused.value.code) == (409, "moved")
+
+
+async def test_a_refused_value_is_said_at_its_field_with_the_nearest(
+    house: House, client: httpx.AsyncClient
+) -> None:
+    """In the scale of the unit: 99999 s is 999990 raw, and an offer of 9999 would be refused again."""
+    live, origin = house.services[LiveState], {"Origin": str(client.base_url)}
+    responding(live)
+    form = {"number": "7", "unit-1": "5.5", "unit-2": "99999"}
+    for action in ("review", "tray"):
+        refused = await client.post(f"/batch/dry-end/{action}", data=form, headers=origin)
+        assert (refused.status_code, refused.headers["HX-Retarget"]) == (422, "#batch-error")
+        assert "out of range; the nearest allowed value is 999.9; nothing was sent<" in refused.text
+        assert re.findall('data-use="(.*?)"', refused.text) == ["999.9"]
+        assert 'value="5.5"' in refused.text
+        assert "<form" not in refused.text
 
 
 async def test_the_review_counts_only_the_units_that_take_the_value(
@@ -338,15 +356,15 @@ def test_the_review_of_a_secret_holds_nothing_of_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "outcomes"),
+    ("code", "codes"),
     [
-        ("rights_withdrawn", ["rights_withdrawn", "not_sent"]),
-        ("controlled", ["controlled", "not_sent"]),
+        ("rights_withdrawn", ["rights_withdrawn", False]),
+        ("controlled", ["controlled", False]),
         ("blocked", ["blocked", "blocked"]),
     ],
 )
 async def test_a_refusal_of_the_person_ends_it_and_one_of_a_unit_does_not(
-    code: str, outcomes: list[str]
+    code: str, codes: list[str | bool]
 ) -> None:
     live = line(run=False)
     commands = PlayedCommands(
@@ -355,7 +373,7 @@ async def test_a_refusal_of_the_person_ends_it_and_one_of_a_unit_does_not(
         objects={6: Problem(403, code, Message.of("system_error", error="no longer"))},
     )
     rows = typed(live, 6, "20", "30")
-    results = await write_batch(commands, ANNA, 6, rows, confirm=False)  # type: ignore[arg-type]
-    assert [result.outcome for result in results] == outcomes
-    assert {str(result.message) for result in results} == {"no longer"}
-    assert len(commands.sent) == outcomes.count(code)
+    results = await write_batch(commands, ANNA, 6, rows, "a", confirm=False)  # type: ignore[arg-type]
+    assert [isinstance(result.part, Problem) and result.part.code for result in results] == codes
+    assert {str(getattr(result.part, "message", result.part)) for result in results} == {"no longer"}
+    assert len(commands.sent) == codes.count(code)

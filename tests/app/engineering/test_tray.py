@@ -471,7 +471,7 @@ async def test_what_is_staged_and_not_known_any_more_is_not_offered(house: House
         ("/units/dry-end/1/tray/parameters/21", {"raw": "12", "scale": "-"}, "a secret"),
         ("/units/dry-end/1/tray/parameters/17", {"raw": "12", "scale": "-"}, "(parameter 17)"),
         ("/bus/dry-end/tray/setpoints", {"new-1": ""}, "empty is not zero"),
-        ("/batch/dry-end/tray", {"number": "7", "unit-1": "x"}, "Unwind: "),
+        ("/batch/dry-end/tray", {"number": "7", "unit-1": "x"}, "; nothing was sent"),
     ],
 )
 async def test_what_can_never_be_sent_is_refused_in_place(

@@ -306,8 +306,12 @@ async def test_a_batch_of_a_person_without_the_right_writes_nothing(
 ) -> None:
     operator = Person("ben", Role.OPERATOR, "session")
     rows = rows_of_batch(site.live, 6, {1: "5.0", 2: "5.0", 16: "5.0"})
-    results = await write_batch(site.commands, operator, 6, rows, confirm=True)
-    assert [result.outcome for result in results] == ["forbidden", "not_sent", "not_sent"]
+    results = await write_batch(site.commands, operator, 6, rows, "a", confirm=True)
+    assert [isinstance(result.part, Problem) and result.part.code for result in results] == [
+        "forbidden",
+        False,
+        False,
+    ]
     assert worker.commands == []
 
 

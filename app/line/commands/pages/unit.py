@@ -20,7 +20,14 @@ from app.line.commands.catalogue import READ_PARAMETERS, WRITE_ANALOG_OUTPUT, WR
 from app.line.commands.effects import warning_of
 from app.line.commands.limits import HIGHEST_SETPOINT, Limits
 from app.line.commands.page_context import Confirmed, PageOfUnit, ReviewedScale, UnitPage
-from app.line.commands.review import OutcomeText, draw_seam, nudges, outcome_text
+from app.line.commands.review import (
+    OutcomeText,
+    draw_seam,
+    nudges,
+    outcome_text,
+    parameter_outcome,
+    refused_parameter,
+)
 from app.line.commands.rules import parameter_bounds, setpoint_range
 from app.line.commands.safeguards import BLOCK, SET_LIMITS, UNBLOCK
 from app.line.commands.service import permitted, permitted_writer
@@ -42,12 +49,10 @@ from bus.catalogue.parameters import (
     ANALOG_OUT_SOURCE,
     PARAMETERS,
     Parameter,
-    Scale,
     danger_of_writing,
-    nearest_legal,
 )
 from bus.catalogue.values import analog_output_volts, output_is_on, speed_raw, speed_text
-from bus.contract import ReadParameters, Result, UnitScale, WriteAnalogOutput, WriteOutput, WriteParameter
+from bus.contract import ReadParameters, UnitScale, WriteAnalogOutput, WriteOutput, WriteParameter
 from bus.errors import CallerError
 from bus.instants import UnixTime
 from bus.messages import NUMBER, Message, number, term
@@ -414,7 +419,8 @@ async def write_parameter(
         result = await page.carry_out(action, confirmed, {page.id: scale})
     except Problem as problem:
         return page.not_sent(problem)
-    return _written(page, number, raw, _outcome(page, parameter, result), undo=page.undo(confirmed.id))
+    outcome = parameter_outcome(page.unit, parameter, result)
+    return _written(page, number, raw, outcome, undo=page.undo(confirmed.id))
 
 
 def _written(page: UnitPage, number: int, raw: int, outcome: OutcomeText, **more: Any) -> Response:
@@ -428,25 +434,9 @@ def _written(page: UnitPage, number: int, raw: int, outcome: OutcomeText, **more
     )
 
 
-def _outcome(page: UnitPage, parameter: Parameter, result: Result) -> OutcomeText:
-    if parameter.secret and result.outcome == "unverified" and result.message:
-        # This gives the reason in words: the value that was read back is not here.
-        return OutcomeText("unknown", result.message)
-    return outcome_text(result, lambda raw: parameter_message(parameter, raw, page.unit))
-
-
 def _explain(page: UnitPage, parameter: Parameter, error: CallerError | Problem) -> Response:
     place = f"#parameter-{parameter.number}-error"
-    nearest = None if parameter.scale is Scale.BAUD else getattr(error, "nearest", None)
-    # The rule names raw values; the value typed here is as the unit shows it.
-    reason = error.message
-    if isinstance(error, Problem):
-        if (nearest := error.extra.get("nearest")) is None:
-            return page.explain(error, place)
-        reason = reason if parameter.secret else Message("out_of_range")
-    if nearest is None or parameter.secret:
-        return page.explain(Message.of("nothing_sent", reason=reason), place)
-    lowest, highest = parameter_bounds(page.unit, parameter.number, page.guards.limits(page.id))
-    legal = nearest_legal(parameter, min(max(nearest, lowest), highest))
-    shown = parameter_message(parameter, legal, page.unit)
-    return page.explain(Message.of("value_refused_nearest", reason=reason, value=shown), place, nearest=shown)
+    if isinstance(error, Problem) and "nearest" not in error.extra:
+        return page.explain(error, place)
+    reason, nearest = refused_parameter(page.unit, parameter, error, page.guards.limits(page.id))
+    return page.explain(reason, place, nearest=nearest)
