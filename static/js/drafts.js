@@ -37,10 +37,13 @@ function write(drafts) {
   }
 }
 
-/** The address that a form is sent to is stamped with the moment of the press (review.js): without that.
+/** The address that a form is sent to is stamped with the moment of the press (review.js): without that. A page may have
+ * a form for each bus, all sent to one address.
  * @param {HTMLFormElement} form */
-const keyOf = (form) =>
-  [account, location.pathname, (form.getAttribute("hx-post") ?? form.action).replace(STAMP, "")].join(" ");
+const keyOf = (form) => {
+  const address = (form.getAttribute("hx-post") ?? form.action).replace(STAMP, "");
+  return [account, location.pathname, address, new FormData(form).get("bus") ?? ""].join(" ");
+};
 
 /** A form that only filters, or is part of a review, has none; nor has a field that is not sent or is a secret.
  * @param {HTMLFormElement} form */

@@ -219,3 +219,15 @@ def test_a_tile_follows_its_line(site: Site, shared_page: OpensPages) -> None:
         page.reload()
         expect(page.locator("[data-line]").first).to_have_attribute("data-line", "line_of/wet")
     expect(tile).not_to_have_attribute("data-is", "urgent")
+
+
+def test_what_is_typed_for_one_bus_is_no_draft_of_the_other(shared_page: OpensPages) -> None:
+    """Unit 1 is on both."""
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
+    page.locator('[data-new="line/1"]').fill("77")
+    page = opened(page, "/alarms")
+    page = opened(page, "/setpoints")
+    expect(page.locator('[data-new="line/1"]')).to_have_value("77")
+    expect(page.locator('[data-new="wet/1"]')).to_have_value("")
+    page.locator("[data-draft] button").click()
+    expect(page.locator("[data-draft]")).to_have_count(0)
