@@ -31,6 +31,7 @@ ACTIONS = (
     FixedPlace(Message("find_export"), "/trends", words=Message("find_words_export")),
     FixedPlace(Message("find_write_note"), "/shifts/present", "write_shift_note"),
     FixedPlace(Message("find_add_alarm"), "/alarms/own", "add_own_alarm"),
+    FixedPlace(Message("find_acknowledge"), "/alarms"),
     FixedPlace(Message("find_wallboard"), "/wallboard"),
     FixedPlace(Message("find_scan_bus"), "/bus#scan"),
     FixedPlace(Message("find_bus_load"), "/bus"),

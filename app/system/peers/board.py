@@ -297,7 +297,10 @@ def _alarms(summary: LineSummary, translator: Translator) -> str:
 
 def _speed(summary: LineSummary, translator: Translator) -> str:
     newest = summary.speeds[-1] if summary.speeds else None
-    return UNKNOWN if newest is None else translator.formats.point(f"{newest:g}")
+    if newest is None:
+        return UNKNOWN
+    shape = "g" if summary.decimals is None else f".{summary.decimals}f"
+    return translator.formats.point(f"{newest:{shape}}")
 
 
 class LineTiles:

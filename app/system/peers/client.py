@@ -49,6 +49,7 @@ MAX_AT = 1e11
 Name = Annotated[OneLine, Field(max_length=100)]
 Word = Annotated[str, Field(max_length=30, pattern="^[A-Za-z_]*$")]
 Count = Annotated[int, Field(ge=0, le=1_000_000)]
+Decimals = Annotated[int, Field(ge=0, le=4)]
 Figure = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
 AlarmCount = Annotated[
     dict[AlarmPriorityShown, Count], Field(description="By priority; one without alarms is left out.")
@@ -119,6 +120,7 @@ class LineOfSite(TypedDict):
         ),
     ]
     measure: Annotated[Name | None, Field(description="What those display units are.")]
+    decimals: NotRequired[Annotated[Decimals | None, Field(description="How many decimals they have.")]]
     recipe: Annotated[MessageShown | None, Field(description="The one loaded last.")]
     event: LineEventShown | None
 
@@ -220,6 +222,7 @@ def _summary_json(summary: LineSummary) -> dict[str, Any]:
         "scan_hz": summary.scan_hz,
         "speeds": summary.speeds,
         "measure": summary.measure or None,
+        "decimals": summary.decimals,
         "recipe": maybe_shown(summary.recipe),
         "event": event and {"at": iso(UnixTime(event.at)), "text": message_shown(event.text)},
     }
@@ -282,6 +285,7 @@ def _summary(line: LineOfSite) -> LineSummary:
         scan_hz=line["scan_hz"],
         speeds=line["speeds"] or [],
         measure=line["measure"] or "",
+        decimals=line.get("decimals"),
         recipe=_maybe_message(line["recipe"]),
         event=EventSummary(_unix(event["at"]), _message(event["text"])) if event else None,
     )

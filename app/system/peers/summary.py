@@ -88,8 +88,9 @@ class LineSummary(msgspec.Struct, frozen=True):
     the cause; ``alike``: how many units it is the cause of, since the same minute. ``states``: units by
     state, and the number that is ``online``; ``active`` and ``waiting`` (for an acknowledgement): alarms by
     priority; ``unknown``: the number that were active and may have ended since; ``alarm``: the text of the
-    first alarm. ``speeds``: of the first unit, the newest last, in ``measure``, None if not read;
-    ``scan_hz``: scans a second; ``recipe``: the one last loaded."""
+    first alarm. ``speeds``: of the first unit, the newest last, in ``measure`` with its ``decimals`` (None
+    from a server that does not tell them), None if not read; ``scan_hz``: scans a second; ``recipe``: the one
+    last loaded."""
 
     bus: str
     site: str
@@ -108,6 +109,7 @@ class LineSummary(msgspec.Struct, frozen=True):
     scan_hz: float | None = None
     speeds: list[float | None] = []
     measure: str = ""
+    decimals: int | None = None
     recipe: Message | None = None
     event: EventSummary | None = None
 
@@ -176,6 +178,7 @@ def summary_of(
         scan_hz=None if figures is None else figures.scan_hz,
         speeds=list(speeds),
         measure=next((unit.settings.labels.unit for unit in bus.units.values()), ""),
+        decimals=next((speed_decimals(bus, unit) for unit in bus.units.values()), None),
     )
 
 

@@ -154,6 +154,11 @@ def test_the_outline_of_a_speed() -> None:
     assert outline([1000.0, 1000.5]) == "M236 20.4L240 19.6", "noise does not look like movement"
 
 
+def test_a_speed_has_the_decimals_of_its_unit() -> None:
+    at_rest = msgspec.structs.replace(summary("here"), speeds=[0.0], decimals=1)
+    assert tile(LineOnBoard("here", at_rest))["speed"] == "0.0"
+
+
 def test_only_what_has_changed_is_sent() -> None:
     lines = [summary(f"line-{number}") for number in range(3)]
     tiles = LineTiles(LineBoard(lambda: lines), lambda: UnixTime(100.0))
