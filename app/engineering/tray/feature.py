@@ -293,7 +293,7 @@ async def tray_page(page: Page) -> Response:
     """Show the changes that the person has gathered for each bus."""
     trays = [OwnTray(bus) for bus in page.buses()]
     buses = [(tray.page.name, rows) for tray in trays if (rows := tray.rows())]
-    return page.render("tray/page.html", buses=buses)
+    return page.render("tray/page.html", buses=buses, names=[tray.page.name for tray in trays])
 
 
 @router.get("/tray/strip", dependencies=GATHERS)

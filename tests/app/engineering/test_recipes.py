@@ -25,6 +25,7 @@ from app.engineering.recipes.rules import (
     why_not_setpoint,
 )
 from app.errors import Problem
+from app.line.commands.review import DrawChange
 from app.line.live.bus_live import LiveState
 from bus.contract import BusLink, ExecuteAll, ExecuteSpeed, ParameterValue, Reading, SetLine, Staged, UnitLink
 from bus.instants import UnixTime, monotonic_now, unix_now
@@ -302,6 +303,18 @@ async def test_the_review_watches_no_unit_that_is_left_out(house: House) -> None
     assert "Leave out Unwind" in first, "what needs a tick comes first"
     assert "First tick the box above" in table
     assert "data-watch" not in review.text
+
+
+async def test_the_review_begins_with_the_draws_that_change(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Below the rows of eight units they were out of sight."""
+    responding(house.services[LiveState])
+    draw = DrawChange(Message.of("draws_stay", names=["Nip"]), is_out=True)
+    monkeypatch.setattr("app.engineering.recipes.feature.draw_changes", lambda *_: [draw])
+    recipe = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 700})
+    review = await (await house.signed_in(Role.OPERATOR)).get(f"/recipes/{recipe.id}/review")
+    assert 'class="draws"' in review.text.partition("<table")[0]
 
 
 async def test_the_name_of_a_unit_is_no_word_of_the_page(house: House) -> None:

@@ -609,6 +609,15 @@ async def test_changes_are_removed_one_by_one_or_all(house: House) -> None:
     assert "The change tray is empty" in emptied.text
 
 
+async def test_what_was_sent_leaves_the_page_and_its_result_covers_nothing(house: House) -> None:
+    await add(house)
+    page = (await house.clients[0].get("/tray")).text
+    now, report = page.split('<div class="change-report">')
+    assert re.search(r'id="tray-now" hx-get="/tray" .*hx-trigger="lineside:done', now)
+    assert ('id="tray-sent"' in report, page.count("undo-place")) == (True, 1)
+    assert 'hx-target="#tray-sent, #tray-result, ' in (await tray(house)).text
+
+
 async def test_a_browser_without_scripts_has_pages(house: House) -> None:
     await add(house)
     browser = house.clients[0]
