@@ -20,7 +20,14 @@ from app.errors import Problem
 from app.line.commands.effects import OPERATING_VALUES, effect_message, warning_of
 from app.line.commands.limits import Limits
 from app.line.commands.page_context import BusPage, PageOfBus, new_id
-from app.line.commands.review import OutcomeText, Tone, by_remark, parameter_outcome, refused_parameter
+from app.line.commands.review import (
+    OutcomeText,
+    Tone,
+    by_remark,
+    failed_units,
+    parameter_outcome,
+    refused_parameter,
+)
 from app.line.commands.rules import objection
 from app.line.commands.service import CommandService, ParameterWriter
 from app.line.commands.values import parameter_message, parameter_scale
@@ -37,7 +44,7 @@ from bus.catalogue.values import StatusBits, is_follower, parameter_raw
 from bus.contract import ReadParameters, Result, UnitScale, WriteParameter
 from bus.errors import CallerError
 from bus.instants import UnixTime
-from bus.messages import Message
+from bus.messages import Message, joined
 
 _OF_THE_PERSON = frozenset({"forbidden", "rights_withdrawn", "controlled"})
 """The refusals that would also meet every other unit."""
@@ -269,7 +276,10 @@ async def batch_write(
     tones = {outcome.tone for _, _, outcome in proofs}
     tone: Tone = "unknown" if "unknown" in tones else "bad" if "bad" in tones else "good"
     good = sum(outcome.tone == "good" for _, _, outcome in proofs)
-    in_all = OutcomeText(tone, Message.of("result_of_some", n=len(proofs), good=good))
+    some = Message.of("result_of_some", n=len(proofs), good=good)
+    in_all = OutcomeText(
+        tone, joined((some, *failed_units((name, words) for name, _, words in proofs))) or some
+    )
     kept = {
         each.row.unit: each.row.typed
         for each, (_, _, outcome) in zip(results, proofs, strict=True)

@@ -56,7 +56,7 @@ from app.line.commands.page_context import BusPage, Confirmed, Page, PageOfBus, 
 from app.line.commands.pages.line import followers_of, left_out_of, typed_setpoints
 from app.line.commands.pages.speed import explain_setpoint
 from app.line.commands.pages.unit import CONFIRMING_WORD, OutputPath, ParameterPath, typed_analog
-from app.line.commands.review import OutcomeText, Tone, by_remark, draw_changes, outcome_text
+from app.line.commands.review import OutcomeText, Tone, by_remark, draw_changes, failed_units, outcome_text
 from app.line.commands.rules import reason_of
 from app.line.commands.service import CommandService, ParameterWriter, permitted, permitted_writer
 from app.line.commands.undo import UndoOffer, ValuePlace, Values, action_for
@@ -74,7 +74,7 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Result, UnitOutcome, UnitScale
 from bus.errors import CallerError
 from bus.instants import Monotonic, monotonic_now
-from bus.messages import Message, term
+from bus.messages import Message, joined, term
 
 
 class OwnTray:
@@ -430,6 +430,8 @@ def _done(page: BusPage, rows: list[TrayRow], results: list[TrayResult], left_ou
         commands.add(result.id)
         shown.append(ShownResult(row, _outcome(page, result), undo))
     good = sum(result.is_done for result in results)
+    failed = failed_units((row.name, result) for row, result, _ in shown)
+    some = Message.of("tray_result_of_some", n=len(results), good=good)
     tone: Tone = "good" if good == len(results) else "unknown" if _is_unknown(results) else "bad"
     return _shown(
         page,
@@ -438,9 +440,7 @@ def _done(page: BusPage, rows: list[TrayRow], results: list[TrayResult], left_ou
         left_out=[(page.name_of(unit), page.outcome_left_out(unit)) for unit in sorted(left_out)],
         outcome=OutcomeText(
             tone,
-            Message.of("tray_result_of_all", n=good)
-            if tone == "good"
-            else Message.of("tray_result_of_some", n=len(results), good=good),
+            Message.of("tray_result_of_all", n=good) if tone == "good" else joined((some, *failed)) or some,
         ),
     )
 

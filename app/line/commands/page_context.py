@@ -6,7 +6,7 @@ import asyncio
 import uuid
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 from fastapi import Depends, Form
@@ -232,8 +232,15 @@ class BusPage(PageContext):
         return await self.send(action, confirmation.id, undoes=confirmation.undoes, scales=scales)
 
     def outcome(self, result: Result | UnitOutcome, unit: int) -> OutcomeText:
-        """Return words for a setpoint's result; the value read back has the decimals of ``unit``."""
-        return outcome_text(result, lambda raw: setpoint_message(raw, self.bus.units[unit]))
+        """Return words for a setpoint's result; the value read back has the decimals of ``unit``, and where
+        it is another one, the reason why the unit takes none, if it is known."""
+        words = outcome_text(result, lambda raw: setpoint_message(raw, self.bus.units[unit]))
+        reason = self.obstacle(unit) if words.text.code == "result_reads_other" else None
+        return (
+            words
+            if reason is None
+            else replace(words, text=Message.of("result_because", result=words.text, reason=reason))
+        )
 
     def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """Render the result of a command, in place. ``setpoint``: the requested value, its live field, its

@@ -47,7 +47,7 @@ from bus.catalogue.parameters import (
 from bus.contract import Outcome, Result, UnitOutcome, UnitScale
 from bus.errors import CallerError, unit_error
 from bus.instants import UnixTime
-from bus.messages import Message, number
+from bus.messages import Message, joined, number
 from bus.settings import DrawBand, Seam
 
 REVIEW_LASTS_S = 45.0
@@ -418,6 +418,40 @@ def _explains(result: Result | UnitOutcome) -> bool:
         return result.unit_error is None
     in_part = isinstance(result, UnitOutcome) and result.read_back is None
     return result.outcome == "invalid" or (in_part and result.outcome in ("not_sent", "unverified"))
+
+
+MOST_NAMED = 3
+"""The most units that the sentence of a result names; of the others it says how many."""
+
+
+def failed_units(rows: Iterable[tuple[str, OutcomeText]]) -> list[Message]:
+    """Name the units of a change that failed, each result once."""
+    failed = [(name, outcome.text) for name, outcome in rows if outcome.tone != "good"]
+    named = by_remark(failed[:MOST_NAMED])
+    found = [Message.of("result_of_units", names=names, result=text) for text, names in named]
+    more = len(failed) - MOST_NAMED
+    return [*found, Message.of("result_of_more", n=more)] if more > 0 else found
+
+
+def outcome_of_all(result: Result, rows: Mapping[int, tuple[str, OutcomeText]], n: int) -> OutcomeText:
+    """Return the words for the outcome of a change of ``n`` units: how many of them are verified, and what
+    became of each other one. ``rows``: name and result by unit, also of others that moved with it."""
+    outcome = outcome_text(result)
+    failed = joined(failed_units(rows.values()))
+    if result.outcome not in ("verified", "unverified"):
+        refused = [
+            rows[each.unit] for each in result.units if each.unit in rows and each.outcome == "refused"
+        ]
+        return OutcomeText(outcome.tone, joined(failed_units(refused)) or outcome.text)
+    if result.message is not None and result.message.code.startswith("no_unit_changed"):
+        return OutcomeText(outcome.tone, result.message)
+    if failed is None:
+        return OutcomeText("good", Message.of("result_of_all", n=n))
+    if not result.units:
+        return outcome
+    good = sum(words.tone == "good" for _, words in rows.values())
+    some = Message.of("result_of_some", n=n, good=good)
+    return OutcomeText(outcome.tone, joined((some, failed)) or some)
 
 
 def outcome_message(result: Result | UnitOutcome) -> Message:

@@ -252,6 +252,11 @@ class Undoing:
     def end(self, write: _Write, request: CommandRequest, result: Result | None) -> None:
         """Note the values that a write has changed; ``result`` None: it was given up."""
         self._under_way.discard(write)
+        if result is not None and isinstance(request.action, ExecuteAll):
+            # A unit that took no part keeps what it holds staged.
+            done = {each.unit for each in result.units if each.outcome == "verified"}
+            write.new = {place: raw for place, raw in write.new.items() if place.unit in done}
+            write.before = {place: raw for place, raw in write.before.items() if place.unit in done}
         if result is None or not _has_set(write.new, result):
             return
         self._analog |= {

@@ -3,21 +3,26 @@ words of a result."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from app.core.messages import Languages
 from app.core.web.arrival import Deadline
 from app.errors import Problem
 from app.line.commands.limits import Limits
 from app.line.commands.review import (
+    OutcomeText,
     Ramp,
     by_remark,
     change_of,
     draw_changes,
     nudges,
     obstacle_of,
+    outcome_of_all,
     outcome_text,
     plan_zero,
     present_setpoint,
@@ -246,6 +251,32 @@ def test_what_changes_no_draw_is_not_stated(setpoints: dict[int, int]) -> None:
 def test_every_outcome_has_its_words(result: Result, tone: str, text: str) -> None:
     outcome = outcome_text(result)
     assert (outcome.tone, str(outcome.text)) == (tone, text)
+
+
+def test_the_result_of_several_names_each_unit_that_failed_with_its_own_cause() -> None:
+    silent = UnitOutcome(5, "unverified", Message.of("unit_no_response", unit=5))
+    good, failed = (
+        ("Nip", OutcomeText("good", term("verified"))),
+        OutcomeText("unknown", term("reads 120.2 instead")),
+    )
+
+    def text(rows: dict[int, tuple[str, OutcomeText]], n: int, **more: Any) -> str:
+        result = Result("id", 0.0, "unverified", units=[UnitOutcome(4, "verified"), silent])
+        found = outcome_of_all(replace(result, **more), rows, n)
+        return f"{found.tone}: {found.text}"
+
+    assert text({4: good}, 1) == "good: verified"
+    assert (
+        text({4: good, 5: ("Dryer", failed)}, 2)
+        == "unknown: 1 of 2 units verified; Dryer: reads 120.2 instead"
+    )
+    many = {4: good} | {unit: (f"Dryer {unit}", failed) for unit in range(5, 10)}
+    names = "Dryer 5, Dryer 6, Dryer 7"
+    assert text(many, 6) == f"unknown: 1 of 6 units verified; {names}: reads 120.2 instead; 2 more"
+    refused = UnitOutcome(5, "refused", unit_error=0x80)
+    row = {5: ("Dryer", outcome_text(refused))}
+    not_in_remote = "bad: Dryer: rejected by the unit: unit is not in REMOTE mode"
+    assert text(row, 2, outcome="refused", units=[refused], unit_error=0x80) == not_in_remote
 
 
 def test_a_withdrawn_part_of_a_change_is_shown_in_the_reader_s_language() -> None:

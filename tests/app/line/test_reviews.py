@@ -17,7 +17,7 @@ from app.engineering.recipes.book import RecipeBook
 from app.line.commands.limits import Limits
 from app.line.commands.safeguards import Safeguards
 from app.line.live.bus_live import LiveState
-from bus.contract import ParameterValue, Reading
+from bus.contract import ParameterValue, Reading, Staged
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA, HEALTHY, REMOTE, RUN, fresh, responding
 from tests.for_each import for_each
@@ -161,6 +161,24 @@ async def test_an_engineers_limit_above_the_maximum_is_reported(house: House) ->
     await house.services.buses["dry-end"][Safeguards].set_limits(ANNA, 1, Limits(highest=25000))
     assert remarks(await single(house, "2100.0")) == [("risk_above_display", "Unwind")]
     assert remarks(await single(house, "2000.0")) == []
+
+
+async def test_executing_leaves_a_unit_that_cannot_where_it_is(house: House) -> None:
+    """It is named, and is in no row, no count and no form; back in REMOTE, it would execute: a new review."""
+    live = house.services[LiveState].buses["dry-end"]
+    live.apply([Staged(unit, 1.0, 1500) for unit in (1, 2)])
+    report(house, 2, outputs=0)
+    review = await operator(house).get("/bus/dry-end/staged/review")
+    assert remarks(review) == [("obstacle_not_in_remote", live.units[2].settings.name)]
+    assert "Execute 1 staged" in review.text
+    form = dict(re.findall(r'type="hidden" name="([\w-]+)"\s+value="([^"]*)"', review.text))
+    assert (form["raw-1"], "raw-2" in form) == ("1500", False)
+    report(house, 2)
+    refused = await operator(house).post("/bus/dry-end/staged/execute", data=form)
+    assert (refused.status_code, "nothing was sent" in refused.text) == (409, True)
+    for unit in (1, 2):
+        report(house, unit, outputs=0)
+    assert "data-review-act" not in (await operator(house).get("/bus/dry-end/staged/review")).text
 
 
 async def test_a_staged_value_has_no_risk_yet(house: House) -> None:

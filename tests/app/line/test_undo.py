@@ -12,15 +12,12 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from msgspec.structs import replace
 
 from app.core.web.access import Person, Role
-from app.line.commands.pages.line import outcome_of_all
-from app.line.commands.review import OutcomeText
 from app.line.commands.undo import SentCommand, UndoStack, ValuePlace
 from bus.contract import (
     Action,
     Command,
     ExecuteAll,
     ParameterValue,
-    Result,
     SetLine,
     SetSpeed,
     Staged,
@@ -116,24 +113,15 @@ async def test_what_was_staged_is_executed_and_undone_beside_a_unit_that_does_no
     site: House, worker: PlayedWorker
 ) -> None:
     silent = UnitOutcome(16, "unverified", Message.of("unit_no_response", unit=16))
-    moved = replace(silent, read_back=700)
-    outcomes = [UnitOutcome(1, "verified", read_back=900), silent]
+    in_local = UnitOutcome(2, "unverified", read_back=1000)
+    outcomes = [UnitOutcome(1, "verified", read_back=900), in_local, silent]
 
     async def play(command: Command) -> Sequence[Update]:
         return [reading(1, 900), replace(result_of(command, "unverified"), units=outcomes)]
 
     worker.play = play
-    site.live.apply([Staged(unit=1, at=time.time(), raw=900)])
+    site.live.apply([Staged(unit=1, at=time.time(), raw=900), Staged(unit=2, at=time.time(), raw=900)])
     assert await send(site, ExecuteAll(), "first-id") == SetSpeed(unit=1, raw=1000)
-    result = Result("id", at=0.0, outcome="unverified", units=outcomes)
-    assert outcome_of_all(result, [1]) == OutcomeText("good", Message.of("result_of_all", n=1))
-    for units, good in (([1, 16], 1), ([1], 1)):
-        with_other = replace(result, units=[outcomes[0], silent if 16 in units else moved])
-        found = outcome_of_all(with_other, units)
-        assert (found.tone, found.text.params["messages"][0]) == (
-            "unknown",
-            Message.of("result_of_some", n=len(units), good=good),
-        )
 
 
 @pytest.mark.usefixtures("obeying")

@@ -32,8 +32,9 @@ from app.line.commands.review import (
     by_remark,
     draw_changes,
     draw_seam,
+    failed_units,
     obstacle_of,
-    outcome_text,
+    outcome_of_all,
     plan_zero,
     present_setpoint,
 )
@@ -193,38 +194,30 @@ def proven(
     """Render the outcome of each unit in floor order, then the units that were left out, and the undo of the
     change with this id."""
     by_unit, units = {outcome.unit: outcome for outcome in result.units}, page.bus.units
+    rows = {number: page.outcome(by_unit.get(number, result), number) for number in setpoints}
     proofs: list[tuple[str | Message, str | Message, OutcomeText]] = [
-        (
-            units[number].settings.name,
-            setpoint_message(raw, units[number]),
-            page.outcome(by_unit.get(number, result), number),
-        )
-        for number, raw in setpoints.items()
+        (units[number].settings.name, setpoint_message(setpoints[number], units[number]), words)
+        for number, words in rows.items()
     ]
     proofs += [(page.name_of(unit), "", page.outcome_left_out(unit)) for unit in sorted(left_out)]
+    # A broadcast is followed by a read of every unit: of one outside the change only a speed that has moved
+    # counts, and not that it does not respond.
+    others = by_unit.keys() - setpoints.keys() - set(left_out)
+    rows |= {
+        unit: page.outcome(by_unit[unit], unit)
+        for unit in sorted(others)
+        if by_unit[unit].outcome != "verified" and by_unit[unit].read_back is not None
+    }
+    named = {unit: (units[unit].settings.name, words) for unit, words in rows.items()}
+    together = [each for each in result.units if each.unit in setpoints and each.message is None]
     return page.render(
         "setpoints/_done.html",
-        outcome=outcome_of_all(result, setpoints),
+        outcome=outcome_of_all(result, named, len(setpoints)),
         proofs=proofs,
         undo=page.undo(id),
+        together=sum(each.outcome == "verified" for each in together),
         skew=None if result.skew_s is None else page.translator.formats.number(result.skew_s * 1000),
     )
-
-
-def outcome_of_all(result: Result, units: Collection[int]) -> OutcomeText:
-    """Return the words for the outcome of a change: how many of its units are verified. A broadcast is
-    followed by a read of every unit of the bus: of one outside the change only a speed that has moved counts,
-    and not that it does not respond."""
-    outcome = outcome_text(result)
-    if result.outcome not in ("verified", "unverified"):
-        return outcome
-    unproven = [each for each in result.units if each.outcome != "verified"]
-    counted = [each for each in unproven if each.unit in units or each.read_back is not None]
-    if result.outcome == "verified" or (unproven and not counted):
-        return OutcomeText("good", Message.of("result_of_all", n=len(units)))
-    good = sum(each.outcome == "verified" and each.unit in units for each in result.units)
-    some = Message.of("result_of_some", n=len(units), good=good)
-    return OutcomeText(outcome.tone, joined((some, outcome.text)) or some)
 
 
 ZERO_TITLE = term("Set line to zero")
@@ -334,7 +327,9 @@ def _in_all(proofs: list[ResultRow]) -> OutcomeText:
     at_zero = sum(outcome.tone == "good" for _, _, outcome in proofs)
     if proofs and at_zero == len(proofs):
         return OutcomeText("good", Message.of("result_at_zero", n=at_zero))
-    return OutcomeText("bad", Message.of("result_not_at_zero", n=len(proofs), good=at_zero))
+    not_all = Message.of("result_not_at_zero", n=len(proofs), good=at_zero)
+    failed = failed_units((name, outcome) for name, _, outcome in proofs)
+    return OutcomeText("bad", joined((not_all, *failed)) or not_all)
 
 
 staged_router = APIRouter(prefix="/bus/{bus}/staged", include_in_schema=False, route_class=GuardedRoute)
@@ -349,17 +344,27 @@ async def review_staged(page: PageOfBus) -> Response:
         await page.know_ramps(staged)
     except Problem as problem:
         return page.refused(problem, page.translator.t(term("Staged setpoints")))
-    changes = [page.change(unit, raw) for unit, raw in staged.items()]
+    able = _able(page, staged)
+    changes = [page.change(unit, raw) for unit, raw in able.items()]
     return page.review(
         "setpoints/_review_staged.html",
         bus=page.name,
         changes=changes,
-        draws=draw_changes(page.bus, staged),
+        draws=draw_changes(page.bus, able),
         risks=by_remark((each.name, risk) for each in changes for risk in each.risks),
-        obstacles=by_remark((each.name, each.obstacle) for each in changes if each.obstacle is not None),
+        unable=by_remark(
+            (page.bus.units[unit].settings.name, reason)
+            for unit in staged
+            if (reason := page.obstacle(unit)) is not None
+        ),
         followers=followers_of(page.bus),
         longest_s=longest_change_s(page.bus, len(page.bus.units)),
     )
+
+
+def _able(page: BusPage, staged: Mapping[int, int]) -> dict[int, int]:
+    """Return the staged setpoints that a broadcast executes now: the other units keep theirs."""
+    return {unit: raw for unit, raw in staged.items() if page.obstacle(unit) is None}
 
 
 def _known_staged(page: BusPage) -> dict[int, int]:
@@ -375,16 +380,20 @@ def _known_staged(page: BusPage) -> dict[int, int]:
 
 @staged_router.post("/execute", dependencies=[permitted(EXECUTE_ALL)])
 async def execute_staged(request: Request, page: PageOfBus, confirmed: Confirmed) -> Response:
-    """Send 83h to every unit if the staged and the commanded values are still the reviewed ones."""
+    """Send 83h to every unit if what it executes, and the commanded values, are still as reviewed."""
     try:
         is_sent = await page.has_sent(confirmed.id)
         setpoints, _ = reviewed(page.bus, await request.form(), is_sent=is_sent)
-        if not is_sent and setpoints != _known_staged(page):
-            raise Problem(409, "moved", Message("staged_moved"))
+        if not is_sent:
+            _refuse_unable(page, setpoints)
+            if setpoints != _able(page, _known_staged(page)):
+                raise Problem(409, "moved", Message("staged_moved"))
         result = await page.carry_out(ExecuteAll(), confirmed)
     except Problem as problem:
-        return page.refused(problem, page.translator.t(term("Staged setpoints")))
-    return proven(page, setpoints, result, confirmed.id)
+        response = page.refused(problem, page.translator.t(term("Staged setpoints")))
+        response.headers["HX-Retarget"] = "#review-body"
+        return response
+    return proven(page, setpoints, result, confirmed.id, staged_setpoints(page.bus).keys() - setpoints.keys())
 
 
 async def _own_setpoint(page: BusPage, unit: int, deadline: Deadline) -> int:
