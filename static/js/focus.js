@@ -9,7 +9,9 @@ const isNowhere = () => document.activeElement === document.body || document.act
 /** @param {On<FocusEvent>} event */
 function remember(event) {
   const element = event.target;
-  if (!element.closest?.(PLACES) || element.closest("[data-review-place]")) return;
+  // Who looks about while a review is open comes back from it to where it was opened.
+  if (!element.closest?.(PLACES) || document.querySelector("[data-review-place] [data-review]")) return;
+  if (element.closest("[data-review-place]")) return;
   // A browser takes half an item of the rail or of the tabs for seen.
   if (element.matches(".rail__item, .tabs__tab")) element.scrollIntoView({ block: "nearest", inline: "nearest" });
   last = { element, home: element.parentElement?.closest("[id]")?.id, twin: twinOf(element) };
@@ -32,11 +34,14 @@ function successor({ element, home, twin }) {
   return document.getElementById(home ?? "")?.querySelector(twin) ?? null;
 }
 
-/** Give the focus back where it has been lost; a person who put it elsewhere keeps it there. */
-export function giveBack() {
+/** Give the focus back where it has been lost; a person who put it elsewhere keeps it there.
+ * @param {boolean} [isShown] whether the place is scrolled into view, after an act of the person */
+export function giveBack(isShown) {
   if (!last || !isNowhere()) return;
   const element = successor(last);
-  if (element && !element.closest("[inert]")) element.focus({ preventScroll: true });
+  if (!element || element.closest("[inert]")) return;
+  element.focus({ preventScroll: true });
+  if (isShown) element.scrollIntoView({ block: "nearest" });
 }
 
 /** A table is a stop of the Tab key while there is something to scroll in it. */

@@ -144,7 +144,7 @@ function dismiss(detail = outcome()) {
   if (dialog.open) dialog.close();
   document.dispatchEvent(new CustomEvent("lineside:done", { detail }));
   content.replaceChildren();
-  giveBack();
+  giveBack(true);
 }
 
 /** Lock the form while its command is in progress, and show the progress.

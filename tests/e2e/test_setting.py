@@ -72,6 +72,7 @@ def test_nothing_leaves_before_the_confirm_and_enter_only_reviews(
 def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/4")
     field, cancel = page.locator("#setpoint"), page.get_by_role("button", name="Cancel")
+    expect(page.locator(".nudges button").first).to_be_visible()
     focus(field)
     site.set_speed(4, value="90.0")
     expect(field).to_have_value("90.0")
@@ -86,12 +87,22 @@ def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_
     expect(field).to_be_focused()
     page.keyboard.press("Enter")
     expect(cancel).to_be_focused()
-    page.keyboard.press("Tab")
-    page.keyboard.press("Enter")
+    for key in ("Tab", "Tab", "Shift+Tab", "Enter"):
+        page.keyboard.press(key)
     expect(page.locator("[data-review-done=good]")).to_contain_text("reads 88.0")
     assert state(site, 4)["setpoint"] == 880
+    expect(field).to_be_focused()
     site.set_speed(4, value="89.0")
     expect(field).to_have_value("89.0")
+    page.set_viewport_size({"width": 640, "height": 400})
+    for key in ("8", "7", "Enter"):
+        page.keyboard.press(key)
+    expect(cancel).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(field).to_be_focused()
+    below = "field => field.getBoundingClientRect().top >= document.querySelector('.top').offsetHeight"
+    assert field.evaluate(below)
+    expect(field).to_be_in_viewport(ratio=1)
 
 
 def test_a_setpoint_typed_before_the_scripts_are_there_stays(browser_page: OpensPages) -> None:
