@@ -30,8 +30,9 @@ from app.system.configuration.document import (
 from bus.configuration import ConfigurationError, read
 from bus.errors import LinesideError
 from bus.instants import unix_now
-from bus.messages import Message
+from bus.messages import Message, term
 
+NO_REASON = term("no reason given")
 CHANGE = Act("change_configuration", Role.ENGINEER, "configuration", "event_configuration_edited")
 CHANGE_MAIL = Act("change_mail_server", Role.ADMIN, "configuration", "event_configuration_edited")
 """The server sends its password to the mail server that is named here, and the links in its mails lead people
@@ -234,7 +235,7 @@ class ConfigurationFile:
         version = ConfigurationVersion(number, unix_now(), origin, digest, person.account, reason)
         try:
             await asyncio.to_thread(self._store.add, StoredVersion(version, review.text))
-            performed = act.by(person, version=number, reason=reason or "-")
+            performed = act.by(person, version=number, reason=reason or NO_REASON)
             await self._events.record(**performed, message=_in_short(review.lines))
             await asyncio.to_thread(replace_file, self.path, present.text, review.text)
         except (OSError, FileChangedError) as error:
@@ -309,5 +310,5 @@ class Restart:
         if present.faults:
             faults = Message.of("several", messages=list(present.faults))
             raise Problem(409, "not_in_state", Message.of("restart_refused", faults=faults))
-        await self._events.record(**RESTART.by(person, reason=reason or "-"))
+        await self._events.record(**RESTART.by(person, reason=reason or NO_REASON))
         asyncio.get_running_loop().call_later(DELAY_S, self._requested.set)

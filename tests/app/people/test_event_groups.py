@@ -190,3 +190,15 @@ def test_a_store_of_an_earlier_version_has_its_changes_grouped(tmp_path: Path) -
         (3, 1),
         (6, 5),
     ]
+
+
+async def test_a_restore_that_ended_early_does_not_stand_still(house: House) -> None:
+    """In German the word of a unit at rest is another than that of an ended act."""
+    log = house.services[EventLog]
+    await log.record(kind="restore", bus="dry-end", unit=1, what="restore", outcome="stopped")
+    client = await house.signed_in(Role.VIEWER)
+    for path in ("/events", "/shifts/present"):
+        page = (await client.get(path, headers={"Accept-Language": "de"}, follow_redirects=True)).text
+        results = re.findall(r'class="event__result[^"]*">\s*([^<]*?)\s*<', page)
+        assert "vorzeitig beendet" in results, path
+        assert "1 steht" not in page
