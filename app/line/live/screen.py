@@ -309,14 +309,17 @@ def _is_active(mark: str) -> bool:
     return bool(mark) and "cleared" not in mark
 
 
-def _worn(alarm: Fields, level: Level) -> Fields:
+def _worn(alarm: Fields, level: Level, *, ramps: bool) -> Fields:
     """Return the mark of a unit on the line, whose words are beside it, and the ``priority`` of both. An
     alarm that is worse than the cause has both; if it is as bad, it has the mark, and of two of low priority
-    the words; a lesser alarm has neither."""
+    the words; a lesser alarm has neither. Of a unit that ``ramps``, which explains its speed, an alarm of
+    medium or low priority has the mark only."""
     mark = str(alarm.get("alarm", ""))
     place = LEVELS.index(mark.split()[0]) if _is_active(mark) else len(LEVELS)
     cause = LEVELS.index(level)
     is_said = place < cause or (place == cause and level == "low")
+    if ramps and place >= LEVELS.index("medium"):
+        is_said = False
     return {
         "worn": mark if place <= cause else "",
         "words": "alarm" if is_said else "",
@@ -418,6 +421,7 @@ class Screen:
         cause = shown_cause(bus, unit, ladder, now, blocked=block, drifted=drifted.words)
         if cause is not ladder:
             cause = timed_as_alarm(cause, key, self.sources.alarm_since)
+        ramps = ladder is not None and ladder.code == "ramping"
         view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         self._views[key] = view
         fields = unit_fields(bus, unit, view.link, self.translator)
@@ -435,6 +439,8 @@ class Screen:
                 check = check or ("" if is_said else texts.line)
                 if ladder is not None and ladder is not cause:
                     status = cause_texts(ladder, self.translator, now).line
+                    if ramps:
+                        self._briefs[key] = status, ""
         draw, run = draw_of(bus, unit, now), both_run(bus, unit)
         fields |= draw_fields(draw, self.translator, both_run=run)
         of_bus = connection_cause(bus, now)
@@ -453,7 +459,7 @@ class Screen:
             "blocked": blocked,
             "drift": drifted.key,
             **alarm,
-            **_worn(alarm, view.level),
+            **_worn(alarm, view.level, ramps=ramps),
         }
 
     def _recipe(self, bus_name: str) -> str:

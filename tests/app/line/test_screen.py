@@ -280,6 +280,16 @@ def test_a_unit_that_ramps_beside_an_alarm_is_shown_like_any_other() -> None:
     live.buses["dry"].apply([reading(2, at=100.2, outputs=0x40, actual=900)])
     changed = shown.render("dry", [2], 100.2, include_bus=False)
     assert changed["dry/2"]["status"].startswith("Ramp")
+    assert changed["dry/2"]["brief"].startswith("Ramp")
+    assert (shown.flat()["dry/2.worn"], shown.flat()["dry/2.words"]) == ("low", "")
+
+
+def test_a_unit_that_ramps_beside_a_drift_has_the_ramp_on_its_tile() -> None:
+    live = line()
+    shown = screen(live)
+    shown.sources.drift["dry"].summary = lambda *_: Drifted("1 value differs", "6")  # type: ignore[method-assign]
+    live.buses["dry"].apply([reading(2, at=100.2, outputs=0x40, actual=900)])
+    assert shown.render("dry", [2], 100.2, include_bus=False)["dry/2"]["brief"].startswith("Ramp")
 
 
 @pytest.mark.parametrize(
