@@ -412,12 +412,12 @@ def parameter_outcome(unit: UnitLive, parameter: Parameter, result: Result) -> O
 
 
 def _explains(result: Result | UnitOutcome) -> bool:
-    """Return whether the message of a result replaces its usual text: if no unit has rejected it, and if it
-    states that one unit's part of a change was reverted or is still staged."""
+    """Return whether the message of a result replaces its usual text: if no unit has rejected it, if it
+    states why nothing was sent, and if it states that one unit's part of a change is still staged."""
     if result.outcome == "refused":
         return result.unit_error is None
     in_part = isinstance(result, UnitOutcome) and result.read_back is None
-    return result.outcome == "invalid" or (in_part and result.outcome in ("not_sent", "unverified"))
+    return result.outcome in ("invalid", "not_sent") or (in_part and result.outcome == "unverified")
 
 
 MOST_NAMED = 3

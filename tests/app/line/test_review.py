@@ -286,6 +286,11 @@ def test_a_withdrawn_part_of_a_change_is_shown_in_the_reader_s_language() -> Non
     assert "vorbereitet; nicht ausgeführt" in translator("de").t(outcome_text(part).text)
 
 
+def test_why_a_change_was_not_sent_is_shown_and_not_a_busy_bus() -> None:
+    reason = Message.of("no_unit_changed", reason=Message.of("outsider_unknown", unit=5))
+    assert outcome_text(Result(id="1", at=0, outcome="not_sent", message=reason)).text == reason
+
+
 def test_a_refusal_before_sending_is_shown_in_the_reader_s_language() -> None:
     with pytest.raises(Problem) as late:
         Deadline(monotonic_now() - 4, 2.0).refuse_passed()

@@ -129,6 +129,19 @@ async def test_a_unit_of_the_change_that_cannot_take_it_is_an_obstacle(house: Ho
     assert "All units change or none" in response.text
 
 
+@for_each("link", ["local", "offline"])
+async def test_a_unit_outside_a_change_that_could_move_with_it_is_named_before_it(
+    house: House, link: str
+) -> None:
+    report(house, 2, outputs=0) if link == "local" else report(house, 2, age=60)
+    house.services[LiveState].buses["dry-end"].apply([Staged(2, time.time(), None, unknown=True)])
+    response = await group(house, **{"new-1": "50.0"})
+    advice = "Set Nip to REMOTE at its keypad" if link == "local" else "Check its power"
+    assert response.status_code == 422
+    assert re.search(f"Nip .* it would move too: no unit was changed. {advice}", response.text)
+    assert (await single(house)).status_code == 200, "the same by itself"
+
+
 @pytest.mark.parametrize("what", ["outputs/3", "analog-output/review"])
 async def test_an_output_that_the_unit_cannot_switch_now_is_an_obstacle(house: House, what: str) -> None:
     browser = await house.signed_in(Role.ENGINEER)

@@ -14,6 +14,7 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Form
+from msgspec.structs import replace
 from starlette.datastructures import FormData
 from starlette.requests import Request
 from starlette.responses import Response
@@ -92,6 +93,7 @@ async def review_change(
     able = {unit: raw for unit, raw in setpoints.items() if of_bus.obstacle(unit) is None}
     if able:
         await of_bus.judge(SetLine(setpoints=able), of_bus.deadline(len(able)))
+        _refuse_outsiders(of_bus, able)
     await of_bus.know_ramps(able)
     changes = [of_bus.change(unit, raw, scales.get(unit)) for unit, raw in setpoints.items()]
     able = {change.unit: change.new_raw for change in changes if change.obstacle is None}
@@ -108,6 +110,22 @@ async def review_change(
         followers=followers_of(of_bus.bus),
         longest_s=longest_change_s(of_bus.bus, len(changes)),
     )
+
+
+def _refuse_outsiders(page: BusPage, units: Collection[int]) -> None:
+    """Raise Problem 409 if a unit outside a change of ``units`` may hold a staged setpoint, which the
+    broadcast executes too, and cannot be given its present one instead."""
+    for unit in held_units(page.bus):
+        if unit not in units and obstacle_of(page.bus, page.bus.units[unit], unix_now()) is not None:
+            raise Problem(409, "not_loadable", _would_move(page, unit))
+
+
+def _would_move(page: BusPage, unit: int) -> Message:
+    """Return that a unit would move with a change of others, and what to do for now."""
+    live = page.bus.units.get(unit)
+    obstacle = None if live is None else obstacle_of(page.bus, live, unix_now())
+    is_local = obstacle is not None and obstacle.code == "obstacle_not_in_remote"
+    return Message.of("outsider_in_local" if is_local else "outsider_silent", name=page.name_of(unit))
 
 
 async def typed_setpoints(page: BusPage, form: FormData) -> tuple[dict[int, int], Scales]:
@@ -193,6 +211,7 @@ def proven(
 ) -> Response:
     """Render the outcome of each unit in floor order, then the units that were left out, and the undo of the
     change with this id."""
+    result = _with_outsider_named(page, result)
     by_unit, units = {outcome.unit: outcome for outcome in result.units}, page.bus.units
     rows = {number: page.outcome(by_unit.get(number, result), number) for number in setpoints}
     proofs: list[tuple[str | Message, str | Message, OutcomeText]] = [
@@ -218,6 +237,15 @@ def proven(
         together=sum(each.outcome == "verified" for each in together),
         skew=None if result.skew_s is None else page.translator.formats.number(result.skew_s * 1000),
     )
+
+
+def _with_outsider_named(page: BusPage, result: Result) -> Result:
+    """Return a result that says by its name which unit outside the change kept it from being sent."""
+    reason = result.message.params.get("reason") if result.message is not None else None
+    if not isinstance(reason, Message) or reason.code not in ("outsider_unknown", "outsider_staged"):
+        return result
+    unit = reason.params["unit"]
+    return replace(result, message=_would_move(page, unit)) if isinstance(unit, int) else result
 
 
 ZERO_TITLE = term("Set line to zero")
