@@ -151,7 +151,7 @@ def _step(
             {
                 "old": in_measure(old, measure) if old is not None else term("unknown"),
                 "new": in_measure(new, measure),
-                "seconds": number(f"{ramp_s or 0:.1f}"),
+                "seconds": number(f"{max(ramp_s or 0.0, 0.1):.1f}"),
             },
         ),
         measure=measure,

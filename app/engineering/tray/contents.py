@@ -223,7 +223,7 @@ def _ramp(change: SetpointChange) -> Message:
         return Message("tray_follows_master")
     if change.ramp.seconds is None:
         return term("with the unit's own ramp; duration unknown")
-    return Message.of("tray_ramp", seconds=number(f"{change.ramp.seconds:.1f}"))
+    return Message.of("tray_ramp", seconds=number(f"{max(change.ramp.seconds, 0.1):.1f}"))
 
 
 def unable_units(rows: Iterable[TrayRow]) -> dict[int, Unable]:

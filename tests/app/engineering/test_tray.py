@@ -209,6 +209,7 @@ def words(row: TrayRow) -> tuple[str, str, str, str, str, str]:
     ("place", "raw", "expected"),
     [
         (SPEED_1, 1500, ("Unwind", "Setpoint", "100.0", "150.0", "m/min", "ramp of about 0.2 s")),
+        (SPEED_1, 1001, ("Unwind", "Setpoint", "100.0", "100.1", "m/min", "ramp of about 0.1 s")),
         (SPEED_1, 1000, ("Unwind", "Setpoint", "100.0", "100.0", "m/min", "no change")),
         (OUTPUT, 1, ("Unwind", "Output 3 (Fan)", "off", "on", "", REACTS)),
         (ANALOG, 7, ("Nip", "Analog output", "5", "7", "", UNREAD)),
