@@ -8,6 +8,8 @@ const SIZES = {
   tiles: { width: 186, height: 110, strip: 22, gap: 8 },
   matrix: { width: 74, height: 48, strip: 16, gap: 3 },
 };
+/** Of a page that scrolls anyway: there a tile has two lines of a cause, and its time. */
+const SCROLLED_PX = 126;
 const PHONE_PX = 576;
 /** What is blank at the end of a narrow page, above the bar at its edge. */
 const BLANK_PX = 32;
@@ -99,6 +101,9 @@ function fit(line) {
   let found = fitIn(height - under);
   if (under && found.height <= least.height) found = fitIn(height);
   counted = { columns: found.columns, of: present };
+  const isTall = least === SIZES.tiles && found.height <= least.height;
+  if (isTall) found = { ...found, height: SCROLLED_PX };
+  line.toggleAttribute("data-scrolls", isTall);
   line.dataset.size = isPhone ? "phone" : sizeOf(found);
   line.style.setProperty("--columns", String(found.columns));
   line.style.setProperty("--cell-width", `${found.width.toFixed(1)}px`);
