@@ -131,6 +131,17 @@ function refuse(form, text) {
   form.querySelector("[role=status]").replaceChildren(...(text ? [fault] : []));
 }
 
+/** Mark the field that the server refused, until its text is another one: then the reason is over, too. */
+function markRefused() {
+  for (const reason of document.querySelectorAll("[data-setpoints] [data-refuses]")) {
+    const field = /** @type {HTMLInputElement} */ (reason.closest("form")?.elements.namedItem(reason.dataset.refuses ?? ""));
+    reason.dataset.refused ??= field.value;
+    const isOver = field.value !== reason.dataset.refused;
+    if (isOver) reason.parentElement?.replaceChildren();
+    field.setAttribute("aria-invalid", String(!isOver));
+  }
+}
+
 /** @param {HTMLElement} form */
 function enter(form) {
   const source = /** @type {HTMLInputElement} */ (form.querySelector("[data-together]"));
@@ -281,7 +292,8 @@ export function start() {
   followUnits();
   followDraws();
   markTray();
-  for (const follows of [followUnits, markTray, listenForDraws, showDraws]) document.addEventListener("lineside:changed", follows);
+  for (const follows of [followUnits, markTray, listenForDraws, showDraws, markRefused]) document.addEventListener("lineside:changed", follows);
+  document.addEventListener("input", markRefused);
   document.addEventListener("click", stepTyped, { capture: true });
   document.addEventListener("click", (event) => {
     const button = event.target.closest("[data-pad], [data-use], [data-together-do]");
@@ -295,9 +307,10 @@ export function start() {
       form.querySelector("[data-together]")?.dispatchEvent(new Event("input", { bubbles: true }));
     }
     else {
-      const input = (button.closest("form, td") ?? document).querySelector(
-        "input:not([type=hidden], [type=checkbox])",
-      );
+      const { ofField } = button.dataset;
+      const input = /** @type {HTMLInputElement} */ ((button.closest("form, td") ?? document).querySelector(
+        ofField ? `[name="${ofField}"]` : "input:not([type=hidden], [type=checkbox])",
+      ));
       input.value = button.dataset.use ?? "";
       input.dispatchEvent(new Event("input", { bubbles: true }));
       input.focus();

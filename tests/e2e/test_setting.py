@@ -238,6 +238,22 @@ def test_a_draft_of_setpoints_moves_no_row(shared_page: OpensPages) -> None:
     page.locator("[data-draft] button").click()
 
 
+def test_a_refused_setpoint_is_marked_until_it_is_another_and_scrolls_no_row(
+    shared_page: OpensPages,
+) -> None:
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
+    field = page.locator("[name=new-1]")
+    field.fill("999")
+    page.get_by_role("button", name="Review the change").click()
+    expect(field).to_have_attribute("aria-invalid", "true")
+    assert page.evaluate("document.documentElement.scrollHeight - innerHeight") <= 0
+    page.locator("#change-line [data-use]").click()
+    expect(field).to_have_value("200.0")
+    expect(field).to_have_attribute("aria-invalid", "false")
+    expect(page.locator("#change-line")).to_be_empty()
+    page.locator('[data-together-do="clear"]').click()
+
+
 def test_discard_leaves_nothing_staged_while_an_input_stands_above_the_setpoint(
     site: Site, shared_page: OpensPages
 ) -> None:

@@ -547,7 +547,7 @@ async def add_setpoints(request: Request, page: PageOfBus) -> Response:
         setpoints, scales = await typed_setpoints(page, await request.form())
         return await _added(page, _setpoints(setpoints), page.deadline(len(setpoints)), scales)
     except (CallerError, Problem) as error:
-        return page.explain(error, f"#change-{page.name}")
+        return page.explain_setpoint(error)
 
 
 @router.post("/recipes/{recipe_id}/tray", dependencies=[permitted(SET_LINE)])

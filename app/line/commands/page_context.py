@@ -110,14 +110,17 @@ class PageContext:
         place: str,
         *,
         nearest: str | Message = "",
+        field: str = "",
         status: int = 422,
     ) -> Response:
         """Render why there is no review, at the CSS selector ``place``, with an offer of control if that is
-        missing. ``nearest``: the closest value that would be accepted, which a press enters."""
+        missing. ``nearest``: the closest value that would be accepted, which a press enters into ``field``,
+        the name of the one that is wrong; without it, the only one."""
         response = self.render(
             "unit/_no_review.html",
             reason=self.explanation(reason if isinstance(reason, Message) else reason.message),
             nearest=nearest,
+            field=field,
             controlled=_controlled(reason),
             status=status,
         )
@@ -161,6 +164,15 @@ class BusPage(PageContext):
     ) -> tuple[int, UnitScale]:
         """Convert a typed setpoint; returns it, raw, with its scale. Raise CallerError and Problem."""
         return await self.commands.convert_setpoint(self.person, unit, text, deadline or self.deadline())
+
+    def explain_setpoint(self, error: CallerError | Problem) -> Response:
+        """Render why there is no review of several setpoints, and which of their fields is wrong."""
+        unit, nearest = None, None
+        if isinstance(error, Problem) and error.code == "invalid":
+            unit, nearest = error.extra.get("unit"), error.extra.get("nearest")
+        shown = "" if unit is None else setpoint_message(nearest, self.bus.units[unit])
+        field = "" if unit is None else f"new-{unit}"
+        return self.explain(error, f"#change-{self.name}", nearest=shown, field=field)
 
     def check(self, action: Action) -> None:
         """Check a command without reading anything. Raise Problem if it would not be sent."""

@@ -81,7 +81,7 @@ async def review_setpoints(request: Request, page: Page) -> Response:
     try:
         return await review_change(of_bus, *await typed_setpoints(of_bus, form))
     except (CallerError, Problem) as error:
-        return page.explain(error, f"#change-{of_bus.name}")
+        return of_bus.explain_setpoint(error)
 
 
 async def review_change(
@@ -142,8 +142,8 @@ async def typed_setpoints(page: BusPage, form: FormData) -> tuple[dict[int, int]
         try:
             setpoints[unit], scales[unit] = await page.typed_setpoint(unit, text, deadline)
         except CallerError as error:
-            name = page.bus.units[unit].settings.name
-            raise CallerError(Message.of("of_unit", name=name, reason=error.message)) from error
+            reason = Message.of("of_unit", name=page.bus.units[unit].settings.name, reason=error.message)
+            raise Problem(422, "invalid", reason, unit=unit) from error
     return setpoints, scales
 
 
