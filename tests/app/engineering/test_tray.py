@@ -453,7 +453,9 @@ async def test_what_is_staged_and_not_known_any_more_is_not_offered(house: House
         live.apply(updates)
         return (await house.clients[0].get("/tray/strip")).text
 
-    assert "disabled" not in await strip(Staged(1, now, 700), Staged(2, now, 800))
+    known = await strip(Staged(1, now, 700), Staged(2, now, 800))
+    assert "disabled" not in known
+    assert name in known
     off = await strip(UnitLink(1, now, "stale"))
     assert name in off
     assert off.count("disabled") == 1
