@@ -198,12 +198,13 @@ def press(
     client: httpx.Client, site: Site, method: str, path: str, arguments: dict[str, Any]
 ) -> httpx.Response:
     """As a page or a program sends it, to a unit that responds, with what a review would have put into the
-    form. That of a batch holds the value of its parameter, and may come without."""
+    form. That of a parameter holds its value, and may come without."""
     eventually(lambda: site.unit(1)["link"] == "online", "unit 1 responds")
     form = dict(arguments.get("data", {}))
     if form:
         present = str(setpoint(site, 1))
-        reviewed = {} if path.startswith("/batch/") else {"was": present, "was-1": present}
+        is_parameter = path.startswith("/batch/") or "/parameters/" in path
+        reviewed = {} if is_parameter else {"was": present, "was-1": present}
         reviewed |= {"scale": "-", "scale-1": "-"}
         form = {**reviewed, "reviewed_at": "9999999999", **form}
         arguments = {"data": form, "headers": {"HX-Request": "true", "Accept": "text/html"}}

@@ -158,7 +158,8 @@ async def execute(
     try:
         if not await page.has_sent(confirmed.id):
             if page.unit.staged != raw:
-                raise Problem(409, "moved", Message("staged_moved"))
+                is_none = page.unit.staged is None and not page.unit.staged_unknown
+                raise Problem(409, "moved", Message("nothing_staged" if is_none else "staged_moved"))
             _refuse_moved(page, was)
         result = await page.carry_out(ExecuteSpeed(unit=page.id), confirmed, {page.id: scale})
     except Problem as problem:
