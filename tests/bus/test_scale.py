@@ -333,6 +333,17 @@ async def test_a_group_stops_before_the_unit_whose_scale_is_another(line: Virtua
     assert [unit.staged for unit in drives(line)] == [None] * UNITS, "all scales before any stage"
 
 
+@at_keypads()
+async def test_a_unit_whose_scale_cannot_be_read_is_not_said_to_hold_what_was_never_sent(
+    line: VirtualLine,
+) -> None:
+    scales = {unit: known(line, unit, SCALE) for unit in line.units}
+    drives(line)[0].mute_on |= {0x85}
+    result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), typed_with=scales)
+    assert str(result.message).endswith("no unit was changed")
+    assert [unit.staged for unit in drives(line)] == [None] * UNITS
+
+
 @played(24, play=play)
 async def test_a_typed_group_of_24_units_is_executed_within_the_two_seconds_of_a_command(
     line: VirtualLine,

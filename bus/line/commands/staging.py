@@ -268,7 +268,12 @@ def _stopped(members: list[Member], outcome: Outcome, reason: Message) -> Proced
     """Return the result of a change that ended before its broadcast, with the units that may be staged."""
     untouched = Message("unit_untouched")
     units = [each.outcome or UnitOutcome(each.unit, "not_sent", untouched) for each in members]
-    left = [each.unit for each in units if each.outcome == "unverified"]
+    # Where the scale could not be read again, nothing was sent.
+    left = [
+        each.unit
+        for each, member in zip(units, members, strict=True)
+        if each.outcome == "unverified" and member.sent is not None
+    ]
     return ProcedureResult(
         outcome=outcome,
         message=Message.of("no_unit_changed_staged_left", reason=reason, units=left)
