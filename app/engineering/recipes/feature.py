@@ -23,7 +23,7 @@ from app.errors import Problem
 from app.feature import Feature, Services
 from app.line.commands.catalogue import SET_LINE, longest_change_s
 from app.line.commands.page_context import Confirmed, Page
-from app.line.commands.pages.line import followers_of, left_out_of, proven, reviewed
+from app.line.commands.pages.line import followers_of, left_out_of, proven, refuse_outsiders, reviewed
 from app.line.commands.review import by_remark, draw_changes, present_setpoint
 from app.line.commands.rules import setpoint_text
 from app.line.commands.service import CommandService, permitted
@@ -126,6 +126,11 @@ async def review(
     await of_bus.know_ramps([one.unit for one in recipe.setpoints if one.unit in bus.units])
     run = book.try_out(person, recipe)
     able = [step for step in run.steps if step.obstacle is None]
+    try:
+        if able:
+            refuse_outsiders(of_bus, [step.unit for step in able])
+    except Problem as problem:
+        return of_bus.refused(problem, recipe.name)
     was = {number: present_setpoint(bus, unit) for number, unit in bus.units.items()}
     left_out, unchanged = of_bus.not_taking_part(step.unit for step in run.steps)
     return page.review(

@@ -53,7 +53,7 @@ from app.line.commands.catalogue import (
 )
 from app.line.commands.control import controlled
 from app.line.commands.page_context import BusPage, Confirmed, Page, PageOfBus, PageOfUnit, ReviewedScale
-from app.line.commands.pages.line import followers_of, left_out_of, typed_setpoints
+from app.line.commands.pages.line import followers_of, left_out_of, refuse_outsiders, typed_setpoints
 from app.line.commands.pages.speed import explain_setpoint
 from app.line.commands.pages.unit import CONFIRMING_WORD, OutputPath, ParameterPath, typed_analog
 from app.line.commands.review import OutcomeText, Tone, by_remark, draw_changes, failed_units, outcome_text
@@ -309,6 +309,9 @@ async def review_tray(page: PageOfBus) -> Response:
     try:
         _refuse_without_control(page)
         await tray.learn()
+        rows = tray.rows()
+        unable = unable_units(rows)
+        _refuse_outsiders(page, [row for row in rows if row.place.unit not in unable])
         return _review(page, tray)
     except Problem as problem:
         return _refused(page, problem)
@@ -352,6 +355,12 @@ def _refuse_without_control(page: BusPage) -> None:
         raise controlled(Message.of("nothing_sent", reason=objection), page.name)
 
 
+def _refuse_outsiders(page: BusPage, rows: Iterable[TrayRow]) -> None:
+    """Raise Problem 409 if a unit outside the setpoints of a change would move with them."""
+    if units := [row.place.unit for row in rows if row.place.kind == "setpoint"]:
+        refuse_outsiders(page, units)
+
+
 def _longest_s(page: BusPage, changes: Values) -> float:
     steps = steps_of(changes)
     return longest_change_s(page.bus, len(steps[0])) + len(steps) * timeout_s_for(page.bus) if steps else 0.0
@@ -376,6 +385,7 @@ async def send_tray(
         rows = _confirmed_rows(tray, _reviewed(row or []), left_out)
         if any(each.danger for each in rows) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
+        _refuse_outsiders(page, rows)
         changes = {each.place: each.raw for each in rows}
         async with tray.sending(changes):
             results = await send_changes(

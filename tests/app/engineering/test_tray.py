@@ -414,6 +414,18 @@ async def press_send(house: House, **form: str | list[str]) -> httpx.Response:
     return await house.clients[0].post("/bus/dry-end/tray/send", data=form, headers=OF_PAGE)
 
 
+async def test_a_unit_outside_that_could_move_with_the_tray_or_a_recipe_is_named_before(house: House) -> None:
+    saved = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 1200})
+    await add(house)
+    rows = await review_rows(house)
+    local(house, 2)
+    house.services[LiveState].buses["dry-end"].apply([Staged(2, fresh(), None, unknown=True)])
+    loading = await house.clients[0].get(f"/recipes/{saved.id}/review", headers=OF_PAGE)
+    for refused in (await tray(house), loading, await press_send(house, row=rows)):
+        assert refused.status_code == 409
+        assert "Set Nip to REMOTE at its keypad" in refused.text
+
+
 async def test_each_way_to_set_a_value_adds_to_the_tray(house: House) -> None:
     saved = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {2: 1200})
     ways = {

@@ -93,7 +93,7 @@ async def review_change(
     able = {unit: raw for unit, raw in setpoints.items() if of_bus.obstacle(unit) is None}
     if able:
         await of_bus.judge(SetLine(setpoints=able), of_bus.deadline(len(able)))
-        _refuse_outsiders(of_bus, able)
+        refuse_outsiders(of_bus, able)
     await of_bus.know_ramps(able)
     changes = [of_bus.change(unit, raw, scales.get(unit)) for unit, raw in setpoints.items()]
     able = {change.unit: change.new_raw for change in changes if change.obstacle is None}
@@ -112,7 +112,7 @@ async def review_change(
     )
 
 
-def _refuse_outsiders(page: BusPage, units: Collection[int]) -> None:
+def refuse_outsiders(page: BusPage, units: Collection[int]) -> None:
     """Raise Problem 409 if a unit outside a change of ``units`` may hold a staged setpoint, which the
     broadcast executes too, and cannot be given its present one instead."""
     for unit in held_units(page.bus):
