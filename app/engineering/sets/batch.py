@@ -108,8 +108,8 @@ def rows_of_batch(
     typed: Mapping[int, str],
     limits: Callable[[int], Limits] = lambda _: Limits(),
 ) -> list[BatchRow]:
-    """Return one row for each unit of the bus, with its present value and its typed text. ``limits``: those
-    of a unit, which bound what is offered in place of a refused value."""
+    """Return one row for each unit of the bus, with its present value and its typed text. ``limits``: a
+    function that returns the limits of a unit, within which another value is offered for a refused one."""
     return [
         _row(unit, PARAMETERS[number], typed.get(key, "").strip(), status_of(bus, unit), limits(key))
         for key, unit in bus.units.items()
@@ -239,7 +239,7 @@ async def batch_review(request: Request, _: ParameterWriter, page: PageOfBus) ->
 
 
 def refused_batch(page: BusPage, parameter: Parameter, rows: list[BatchRow]) -> Response:
-    """Say in place why there is no review, at the field of each refused value."""
+    """Render the refusal of a batch, with the reason at the field of each refused value."""
     response = page.render(
         "sets/_batch_refused.html",
         status=422,

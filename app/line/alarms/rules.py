@@ -422,8 +422,8 @@ DISTURBANCE_S = 5.0
 
 @dataclass(slots=True)
 class FirstOut:
-    """The search for the first alarm of a disturbance of one bus. Alarms about parameters take no part: they
-    come when a parameter is read, not when it was changed."""
+    """The alarms of the present disturbance of one bus, in the order in which they came. Alarms about
+    parameters are not added: they come when a parameter is read, not when it was changed."""
 
     _alarms: dict[str, None] = field(default_factory=dict)
     _at: UnixTime = UnixTime(0.0)

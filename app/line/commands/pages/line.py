@@ -121,7 +121,8 @@ def refuse_outsiders(page: BusPage, units: Collection[int]) -> None:
 
 
 def _would_move(page: BusPage, unit: int) -> Message:
-    """Return that a unit would move with a change of others, and what to do for now."""
+    """Return the message that names a unit that a change of other units would move too, with what a person
+    can do about it."""
     live = page.bus.units.get(unit)
     obstacle = None if live is None else obstacle_of(page.bus, live, unix_now())
     is_local = obstacle is not None and obstacle.code == "obstacle_not_in_remote"

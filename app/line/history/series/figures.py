@@ -149,8 +149,8 @@ _AT_SPEED = 1 << VALUES["at_speed"].bit
 
 
 MOMENT = SECOND
-"""A unit that moved for less than this between two stops stood all the time, µs: the speed that it displays
-swings about zero as it comes to rest."""
+"""The shortest movement that ends a stop, µs. Two stops with a shorter movement between them are one stop,
+because the displayed speed swings about zero as a unit comes to rest."""
 
 
 class Stop(msgspec.Struct, array_like=True):
