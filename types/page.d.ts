@@ -119,7 +119,7 @@ interface DocumentEventMap {
   submit: On<SubmitEvent, HTMLFormElement>;
   wheel: On<WheelEvent>;
   "lineside:changed": CustomEvent;
-  "lineside:added": CustomEvent<HTMLFormElement | null>;
+  "lineside:taken": CustomEvent<HTMLFormElement | null>;
   "lineside:done": CustomEvent<string>;
   "lineside:found": CustomEvent;
   "lineside:idle": CustomEvent;

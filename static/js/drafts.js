@@ -132,8 +132,6 @@ export function start() {
   if (!account) return;
   settle();
   for (const form of document.forms) if (canKeep(form)) putBack(form);
-  /** @type {HTMLFormElement | null} */
-  let reviewed = null;
   document.addEventListener("input", ({ target }) => {
     const { form } = /** @type {HTMLInputElement} */ (target);
     if (form && canKeep(form)) keep(form);
@@ -141,11 +139,7 @@ export function start() {
   document.addEventListener("submit", (event) => {
     const form = event.target;
     if (!canKeep(form)) return;
-    if (form.hasAttribute("hx-post")) reviewed = form;
-    else if (!event.defaultPrevented) sessionStorage.setItem(SENT, keyOf(form));
+    if (!form.hasAttribute("hx-post") && !event.defaultPrevented) sessionStorage.setItem(SENT, keyOf(form));
   });
-  document.addEventListener("lineside:added", ({ detail: form }) => form && canKeep(form) && forget(form));
-  document.addEventListener("lineside:done", ({ detail }) => {
-    if (reviewed && detail === "good") forget(reviewed);
-  });
+  document.addEventListener("lineside:taken", ({ detail: form }) => form && canKeep(form) && forget(form));
 }

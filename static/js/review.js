@@ -12,6 +12,9 @@ const dialog = document.getElementById("review");
 const PLACE = "[data-review-place]";
 /** Where a review is open, or was last: one at a time. */
 let content = document.getElementById("review-body");
+/** The form of the page whose fields are under review; null for a review of something else.
+ * @type {HTMLFormElement | null} */
+let reviewed = null;
 /** @type {(() => void)[]} */
 let endings = [];
 /** What was pressed last before the first message of the server, and when.
@@ -22,9 +25,11 @@ const EARLY_MS = 2000;
 /** How long ago what is being requested was pressed. */
 let agoMs = 0;
 
-/** @param {HTMLElement} place */
-function opened(place) {
+/** @param {HTMLElement} place @param {HTMLElement} source */
+function opened(place, source) {
   close();
+  // What a review itself requests shows in the place of it.
+  if (source.isConnected && !place.contains(source)) reviewed = source.matches("form") ? /** @type {HTMLFormElement} */ (source) : null;
   if (content !== place) content.replaceChildren();
   content = place;
   if (!content.firstElementChild) return;
@@ -142,6 +147,8 @@ function outcome() {
 function dismiss(detail = outcome()) {
   close();
   if (dialog.open) dialog.close();
+  if (detail === "good") taken(reviewed);
+  reviewed = null;
   document.dispatchEvent(new CustomEvent("lineside:done", { detail }));
   content.replaceChildren();
   giveBack(true);
@@ -169,10 +176,14 @@ function unanswered(form) {
   end(form, word("outcomeUnknown"));
 }
 
-/** What was typed is in the change tray: it is no draft, and its review is over.
+/** What was typed in a form is set, or in the change tray: it is no draft. What was typed elsewhere stays.
+ * @param {HTMLFormElement | null} form */
+const taken = (form) => document.dispatchEvent(new CustomEvent("lineside:taken", { detail: form }));
+
+/** What was typed is in the change tray: its review is over.
  * @param {HTMLElement} source */
 function added(source) {
-  document.dispatchEvent(new CustomEvent("lineside:added", { detail: source.closest("form") }));
+  taken(source.closest("form"));
   if (content.contains(source)) dismiss("good");
 }
 
@@ -317,7 +328,7 @@ export function start() {
     giveBack();
     const { target: named, sourceElement: source } = event.detail.ctx;
     const target = typeof named === "string" ? document.querySelector(named) : named;
-    if (target?.matches(PLACE)) opened(target);
+    if (target?.matches(PLACE)) opened(target, source);
     else if (source.matches("[data-review]")) dismiss();
     if (target?.querySelector?.("[data-added]")) added(source);
     if (!target?.matches("[role=status]") || !target.firstElementChild || isAutomatic(source)) return;

@@ -58,8 +58,7 @@ function followUnit(input) {
     refresh();
   };
   // What was typed stays until it is set.
-  document.addEventListener("lineside:done", ({ detail }) => detail === "good" && forget(), { signal });
-  document.addEventListener("lineside:added", ({ detail }) => detail === input.form && forget(), { signal });
+  document.addEventListener("lineside:taken", ({ detail }) => detail === input.form && forget(), { signal });
   // A page that was just loaded may have been typed into; one that the browser kept is as it was left.
   addEventListener("pageshow", ({ persisted }) => persisted && forget(), { signal });
 }
@@ -249,7 +248,7 @@ function listenForDraws() {
 function followDraws() {
   listenForDraws();
   document.addEventListener("input", showDraws);
-  for (const event of ["lineside:done", "lineside:added"])
+  for (const event of ["lineside:done", "lineside:taken"])
     document.addEventListener(event, () => setTimeout(showDraws));
 }
 
@@ -269,17 +268,8 @@ function clear(form) {
 
 /** A completed change is no draft: the next change starts with empty fields. */
 function forgetDone() {
-  /** @type {HTMLFormElement | null} */
-  let reviewed = null;
-  document.addEventListener("submit", ({ target }) => {
-    if (target.matches("[data-setpoints]")) reviewed = target;
-  });
-  document.addEventListener("lineside:added", ({ detail: form }) => {
+  document.addEventListener("lineside:taken", ({ detail: form }) => {
     if (form?.matches("[data-setpoints]")) clear(form);
-  });
-  document.addEventListener("lineside:done", ({ detail }) => {
-    if (detail === "good" && reviewed) clear(reviewed);
-    reviewed = null;
   });
 }
 

@@ -238,6 +238,25 @@ def test_a_draft_of_setpoints_moves_no_row(shared_page: OpensPages) -> None:
     page.locator("[data-draft] button").click()
 
 
+def test_what_is_typed_stays_while_something_else_is_done(site: Site, browser_page: OpensPages) -> None:
+    was = state(site, 2)["setpoint"]
+    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    page.locator("[name=new-1]").fill("999")
+    page.get_by_role("button", name="Review the change").click()
+    expect(page.locator("[name=new-1]")).to_have_attribute("aria-invalid", "true")
+    site.set_speed(2, raw=was + 7, execute=False)
+    page.get_by_role("button", name="Execute 1 staged").click()
+    page.locator("#review [data-review-act]").click()
+    expect(page.locator("#review")).to_be_hidden()
+    expect(page.locator("[name=new-1]")).to_have_value("999")
+    page = opened(page, "/units/line/3")
+    page.locator("#setpoint").fill("42")
+    page.get_by_role("button", name="Switch output 3").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("#outputs-result [data-review-done=good]")).to_be_visible()
+    expect(page.locator("#setpoint")).to_have_value("42")
+
+
 def test_a_refused_setpoint_is_marked_until_it_is_another_and_scrolls_no_row(
     shared_page: OpensPages,
 ) -> None:
