@@ -31,7 +31,9 @@ COVERED = """part => {
   return part.contains(hit) ? "" : hit?.outerHTML.slice(0, 90);
 }"""
 """What lies over the end of a part, or how far it is out of the window; empty where it is seen to its end."""
-
+ENDS = "each => each.map(part => part.getBoundingClientRect().bottom)"
+STRIPS_PX = 56 + 24
+"""Of the change tray below, and of a simulated line above the page: each may be there or not."""
 
 SMALL, LOW = {"width": 360, "height": 640}, {"width": 640, "height": 400}
 """LOW is the panel at 200 %."""
@@ -44,6 +46,9 @@ def test_what_an_operator_needs_is_in_the_window(shared_page: OpensPages) -> Non
         page.evaluate(FITTED)
         parts = {part: page.locator(part).evaluate(COVERED) for part in PARTS[size["width"]]}
         assert {part: why for part, why in parts.items() if why} == {}
+        if size == PANEL:
+            ends = page.locator(".plate__set, .plate__outputs").evaluate_all(ENDS)
+            assert max(ends) <= PANEL["height"] - STRIPS_PX
 
 
 @pytest.mark.parametrize(
