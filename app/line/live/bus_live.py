@@ -534,12 +534,14 @@ def figures_now(bus: BusLive, now: UnixTime) -> BusFigures | None:
 
 class StagedUnits(NamedTuple):
     """The names of the units of a bus that hold a staged setpoint. ``unknown``: those that may hold one that
-    nobody knows any more; ``silent``: those of both without live values."""
+    nobody knows any more; of both, ``silent``: those without live values; ``local``: those not in REMOTE,
+    which keep it."""
 
     bus: str
     known: list[str]
     unknown: list[str]
     silent: list[str]
+    local: list[str]
 
     @property
     def key(self) -> str:
@@ -556,7 +558,14 @@ def staged_units(buses: Iterable[BusLive], now: UnixTime) -> list[StagedUnits]:
             unknown = [unit.settings.name for unit in held if unit.staged_unknown]
             known = [unit.settings.name for unit in held if not unit.staged_unknown]
             silent = [unit.settings.name for unit in held if unit_link_now(bus, unit, now) != "online"]
-            found.append(StagedUnits(bus.settings.name, known, unknown, silent))
+            local = [
+                name
+                for unit in held
+                if (name := unit.settings.name) not in silent
+                and unit.reading is not None
+                and not bits_of(bus, unit.reading).remote
+            ]
+            found.append(StagedUnits(bus.settings.name, known, unknown, silent, local))
     return found
 
 

@@ -298,7 +298,7 @@ def _figures(buses: Mapping[str, BusLive], translator: Translator, now: UnixTime
 LINE_GROUP = "line_summary"
 """The group of the totals: a name that no bus can have, as a slug has no underscore."""
 ALARM_GROUP = "alarms_present"
-_DECIDES = {"link", "state", "level", "cause", "staged", "alarm"}
+_DECIDES = {"link", "state", "level", "cause", "staged", "mode", "alarm"}
 """Fields of a unit whose change may change the verdict and the totals of the line."""
 MAX_DEPARTED = 3
 """The most units that differ from a recipe and are named; beyond it a number, and the page of recipes."""

@@ -183,7 +183,8 @@ async def test_executing_leaves_a_unit_that_cannot_where_it_is(house: House) -> 
     report(house, 2, outputs=0)
     review = await operator(house).get("/bus/dry-end/staged/review")
     assert remarks(review) == [("obstacle_not_in_remote", live.units[2].settings.name)]
-    assert "Execute 1 staged" in review.text
+    strip = await operator(house).get("/tray/strip")
+    assert all("Execute 1 staged" in part.text for part in (review, strip))
     form = dict(re.findall(r'type="hidden" name="([\w-]+)"\s+value="([^"]*)"', review.text))
     assert (form["raw-1"], "raw-2" in form) == ("1500", False)
     report(house, 2)
@@ -192,6 +193,8 @@ async def test_executing_leaves_a_unit_that_cannot_where_it_is(house: House) -> 
     for unit in (1, 2):
         report(house, unit, outputs=0)
     assert "data-review-act" not in (await operator(house).get("/bus/dry-end/staged/review")).text
+    strip = await operator(house).get("/tray/strip")
+    assert ("<button" in strip.text, "choose REMOTE at the keypad" in strip.text) == (False, True)
 
 
 async def test_a_staged_value_has_no_risk_yet(house: House) -> None:

@@ -312,10 +312,11 @@ def test_an_absence_makes_the_scale_old_and_a_staged_speed_unknown(bus: BusLive)
     unit = bus.units[1]
     bus.apply([Staged(1, UnixTime(100.0), 700)])
     assert unit_fields(bus, unit, "online", translator())["staged"] == "70.0"
-    assert [each[1:] for each in staged_units([bus], UnixTime(100.0))] == [([unit.settings.name], [], [])]
+    assert [each[1:] for each in staged_units([bus], UnixTime(100.0))] == [([unit.settings.name], [], [], [])]
     bus.apply([UnitLink(1, UnixTime(101.0), "offline"), Staged(1, UnixTime(101.0), None, unknown=True)])
     assert unit_fields(bus, unit, "offline", translator())["staged"] == "?"
-    assert [each[1:] for each in staged_units([bus], UnixTime(101.0))] == [([], *[[unit.settings.name]] * 2)]
+    lost = [([], [unit.settings.name], [unit.settings.name], [])]
+    assert [each[1:] for each in staged_units([bus], UnixTime(101.0))] == lost
     assert not unit.scale_is_old
     bus.apply([UnitLink(1, UnixTime(102.0), "online")])
     assert unit.scale_is_old
