@@ -108,6 +108,9 @@ LIST = "list"
 PARAMETER = "parameter"
 """Code of a parameter of a unit, shown by its name with its ``number``. In a template, the brace of this name
 stands for the parameter of the message's own ``number``."""
+UNIT_NAME = "unit_name"
+"""The brace that stands for the message's own ``unit`` or ``units``: names as they are, addresses with the
+word for a unit."""
 _TIME = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:\d\d)?)?")
 """A date or a time as programs write it."""
 _BRACES = re.compile(r"\{(\w+)\}")
@@ -177,7 +180,16 @@ class Message(msgspec.Struct, frozen=True):
         value = self.params.get(name)
         if value is None and name == PARAMETER and "number" in self.params:
             value = Message(PARAMETER, {"number": self.params["number"]})
+        if value is None and name == UNIT_NAME:
+            value = self._unit_named()
         return f"{{{name}}}" if value is None else shown(value, catalog)
+
+    def _unit_named(self) -> ParamValue | None:
+        if (unit := self.params.get("unit", self.params.get("units"))) is None:
+            return None
+        addresses = unit if isinstance(unit, list) else [unit]
+        is_named = any(isinstance(each, str) for each in addresses)
+        return unit if is_named else Message("unit_address", {"unit": unit})
 
 
 @lru_cache(512)

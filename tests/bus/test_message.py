@@ -36,7 +36,7 @@ def test_a_value_is_no_format(value: str) -> None:
 
 
 def test_a_value_that_lacks_leaves_its_braces() -> None:
-    assert str(Message("unit_refused")) == "unit {unit} rejected the command: {error}"
+    assert str(Message("unit_refused")) == "{unit_name} rejected the command: {error}"
 
 
 def test_a_code_of_another_version_is_shown_with_its_values() -> None:

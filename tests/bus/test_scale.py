@@ -340,7 +340,8 @@ async def test_a_unit_whose_scale_cannot_be_read_is_not_said_to_hold_what_was_ne
     scales = {unit: known(line, unit, SCALE) for unit in line.units}
     drives(line)[0].mute_on |= {0x85}
     result = await line.perform(SetLine(dict.fromkeys(line.units, 900)), typed_with=scales)
-    assert str(result.message).endswith("no unit was changed")
+    assert str(result.message) == f"unit {line.units[0]} did not respond; no unit was changed"
+    assert str(result.units[0].message) == f"unit {line.units[0]} did not respond; nothing was sent"
     assert [unit.staged for unit in drives(line)] == [None] * UNITS
 
 

@@ -269,10 +269,7 @@ async def batch_write(
         return page.not_sent(problem)
     confirm = bool(parameter.dangerous)
     results = await write_batch(page.commands, person, number, rows, id or new_id(), confirm=confirm)
-    proofs = [
-        (each.row.name, each.row.shown, _outcome(page.bus.units[each.row.unit], parameter, each.part))
-        for each in results
-    ]
+    proofs = [(each.row.name, each.row.shown, _outcome(page, each, parameter)) for each in results]
     tones = {outcome.tone for _, _, outcome in proofs}
     tone: Tone = "unknown" if "unknown" in tones else "bad" if "bad" in tones else "good"
     good = sum(outcome.tone == "good" for _, _, outcome in proofs)
@@ -311,10 +308,11 @@ def _undo(page: BusPage, parameter: Parameter, results: list[BatchResult]) -> Ba
     return BatchUndo(f"/batch/{page.name}/review", values, text, min(offer.until for offer in offers))
 
 
-def _outcome(unit: UnitLive, parameter: Parameter, part: Result | Problem | Message) -> OutcomeText:
+def _outcome(page: BusPage, written: BatchResult, parameter: Parameter) -> OutcomeText:
+    part = written.part
     if not isinstance(part, Result):
         return OutcomeText("bad", part if isinstance(part, Message) else part.message)
-    return parameter_outcome(unit, parameter, part)
+    return parameter_outcome(page.bus.units[written.row.unit], parameter, page.in_words(part))
 
 
 async def typed_batch(request: Request) -> tuple[int, dict[int, str]]:

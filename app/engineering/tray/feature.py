@@ -463,6 +463,7 @@ def _outcome(page: BusPage, result: TrayResult) -> OutcomeText:
     place, part = result.place, result.part
     if isinstance(part, Message):
         return OutcomeText("bad", part)
+    part = page.in_words(part)
     match place.kind:
         case "setpoint":
             return page.outcome(part, place.unit)

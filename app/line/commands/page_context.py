@@ -7,9 +7,10 @@ import uuid
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from fastapi import Depends, Form
+from msgspec.structs import replace as replace_fields
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -34,7 +35,7 @@ from app.line.commands.rules import slows_all
 from app.line.commands.safeguards import Safeguards
 from app.line.commands.service import CommandService
 from app.line.commands.undo import UndoOffer
-from app.line.commands.values import Scales, parse_scale, setpoint_message
+from app.line.commands.values import Scales, parse_scale, setpoint_message, with_names
 from app.line.live.bus_live import BusLive, LiveState, UnitLive
 from app.line.live.fields import Fields, Translator
 from app.line.live.hub import Hub
@@ -139,6 +140,10 @@ class PageContext:
         )
 
 
+AnyResult = TypeVar("AnyResult", bound=Result | UnitOutcome)
+_OUTSIDERS = ("outsider_unknown", "outsider_staged")
+
+
 class BusPage(PageContext):
     """A request of a page about one bus. Raises Problem 404 for a bus that is not configured."""
 
@@ -211,7 +216,7 @@ class BusPage(PageContext):
         command that it undoes; ``scales``: those of the review. Raise Problem if it is not sent."""
         timeout_s = kind_of_command(action).timeout_s(action, self.bus)
         deadline = deadline or Deadline(self.made_at, timeout_s)
-        return await self.commands.send(
+        result = await self.commands.send(
             self.person,
             action,
             deadline=deadline,
@@ -221,6 +226,7 @@ class BusPage(PageContext):
             undoes=undoes,
             scales=scales,
         )
+        return self.in_words(result)
 
     async def has_sent(self, id: str) -> bool:
         """Return whether the form was sent before: its command is then not checked again, and its result is
@@ -253,6 +259,32 @@ class BusPage(PageContext):
             if reason is None
             else replace(words, text=Message.of("result_because", result=words.text, reason=reason))
         )
+
+    def in_words(self, result: AnyResult) -> AnyResult:
+        """Return a result whose messages name the units, and show their speeds as they do."""
+        parts = [self.in_words(part) for part in result.units] if isinstance(result, Result) else None
+        message = None if result.message is None else self.named(result.message)
+        return replace_fields(result, message=message, **({} if parts is None else {"units": parts}))
+
+    def named(self, message: Message) -> Message:
+        """Return a message of the worker with the names of the units; one about a unit outside a change says
+        what a person can do."""
+        reason = message.params.get("reason")
+        if isinstance(reason, Message) and reason.code in _OUTSIDERS:
+            unit = reason.params.get("unit")
+            return self.would_move(unit) if isinstance(unit, int) else message
+        return with_names(message, self.bus)
+
+    def would_move(self, unit: int) -> Message:
+        """Return the message that names a unit that a change of other units would move too, with what a
+        person can do about it."""
+        live = self.bus.units.get(unit)
+        obstacle = None if live is None else obstacle_of(self.bus, live, unix_now())
+        is_local = obstacle is not None and obstacle.code == "obstacle_not_in_remote"
+        return Message.of("outsider_in_local" if is_local else "outsider_silent", name=self.name_of(unit))
+
+    def explanation(self, reason: Message) -> str:
+        return super().explanation(self.named(reason))
 
     def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """Render the result of a command, in place. ``setpoint``: the requested value, its live field, its
@@ -314,8 +346,8 @@ class UnitPage(BusPage):
 
     def explanation(self, reason: Message) -> str:
         """Return a reason in the reader's language, without the unit, which the page names."""
-        prefix = self.translator.t(Message.of("unit_address", unit=self.id))
-        return super().explanation(reason).removeprefix(f"{prefix}: ")
+        prefix = super().explanation(Message.of("unit_remark", unit=self.id, remark=""))
+        return super().explanation(reason).removeprefix(prefix)
 
     def neighbor(self, step: Literal[-1, 1]) -> UnitOnLine | None:
         """Return the unit before or after this one in floor order; None at an end of the bus."""

@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from decimal import ROUND_HALF_UP, Decimal
+from typing import Any
 
 from app.errors import Problem
 from app.line.commands.rules import KIND_OF_PARAMETER, SetpointKind, commanded_setpoint, kind_of
@@ -280,6 +281,40 @@ def _in_scale(action: Action, words: Wording, live: UnitLive) -> Wording:
 def _other(words: Wording, now: Wording) -> dict[str, Message]:
     texts = {"old": (words.old, now.old), "new": (words.new, now.new)}
     return {name: text for name, (was, text) in texts.items() if isinstance(text, Message) and text != was}
+
+
+_SPEEDS = {
+    "outsider_staged": ("staged",),
+    "speed_moved": ("before", "value"),
+    "speed_reads": ("value",),
+    "speed_reads_while": ("value",),
+    "staged_left": ("raw",),
+    "staged_withdrawn": ("present",),
+    "unit_may_hold": ("raw",),
+}
+"""The params that are raw speeds in the worker's messages, by code."""
+
+
+def with_names(message: Message, bus: BusLive, unit: int | None = None) -> Message:
+    """Return a message of the worker as people read it: units by their names, speeds as their units show
+    them. ``unit``: the one that the message is about."""
+    units, own = bus.units, message.params.get("unit")
+    unit = own if isinstance(own, int) else unit
+
+    def in_words(name: str, value: Any) -> Any:
+        match value:
+            case Message():
+                return with_names(value, bus, unit)
+            case list():
+                return [in_words(name, each) for each in value]
+            case int() if name in ("unit", "units") and value in units:
+                return units[value].settings.name
+            case int() if unit in units and name in _SPEEDS.get(message.code, ()):
+                return in_measure(setpoint_message(value, units[unit]), measure_of_setpoint(units[unit]))
+        return value
+
+    params = {name: in_words(name, value) for name, value in message.params.items()}
+    return Message.of(message.code, **params)
 
 
 def wordings_by_unit(what: Message, bus: BusLive, setpoints: Mapping[int, int]) -> dict[int, Wording]:

@@ -119,6 +119,8 @@ class ScaleReading:
             self._failure = "bus_closed", Message("bus_link_lost")
         elif raw is None and sent.refusal != UnitErrorCode.ILLEGAL_PARAMETER_NUMBER:
             message = Message.of("scale_unread", unit=self.unit, number=parameter_name(number))
+            if sent.status is SendStatus.TIMED_OUT:
+                message = Message.of("unit_no_response", unit=self.unit)
             self._failure = "unverified", message
         elif raw != expected:
             old, new = ("none" if value is None else value for value in (expected, raw))
@@ -323,7 +325,8 @@ def _shows_mode(record: UnitRecord, scale: UnitScale, outcome: UnitOutcome) -> b
 def outcome_before_write(unit: int, difference: tuple[Outcome, Message]) -> UnitOutcome:
     """Return the outcome at a unit that is not written because its scale has changed or cannot be read."""
     outcome, reason = difference
-    return UnitOutcome(unit, outcome, Message.of("scale_changed_nothing_sent", reason=reason))
+    code = "scale_changed_nothing_sent" if reason.code == "scale_changed" else "nothing_sent"
+    return UnitOutcome(unit, outcome, Message.of(code, reason=reason))
 
 
 def outcome_in_scale(outcome: UnitOutcome, after: ScaleReading, *, guarded: bool) -> UnitOutcome:

@@ -15,7 +15,18 @@ import pytest
 from app.core.messages import Languages
 from app.core.messages.languages import DEFAULT, FOLDER, catalogs, compiled
 from app.line.conditions.catalogue import CONDITIONS
-from bus.messages import PARAMETER, TEXTS, Message, Plural, add_texts, listed, number, parameter_name, term
+from bus.messages import (
+    PARAMETER,
+    TEXTS,
+    UNIT_NAME,
+    Message,
+    Plural,
+    add_texts,
+    listed,
+    number,
+    parameter_name,
+    term,
+)
 from hatch_build import different_names
 from tests.catalogs import catalog_at, in_code, in_templates, key_of, leftovers, wanted
 from tests.for_each import for_each
@@ -122,8 +133,10 @@ def names_of(code: str) -> set[str]:
 
 
 def filled_by(names: set[str]) -> set[str]:
-    """The braces that these params fill: a number also that of the name of its parameter."""
-    return names | {PARAMETER} if "number" in names else names
+    """The braces that these params fill: a number also that of the name of its parameter, a unit that of its
+    own name."""
+    of_parameter = {PARAMETER} if "number" in names else set()
+    return names | of_parameter | ({UNIT_NAME} if names & {"unit", "units"} else set())
 
 
 def codes_of(node: ast.expr) -> set[str]:

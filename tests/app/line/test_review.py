@@ -30,7 +30,7 @@ from app.line.commands.review import (
     ramp_parameters_missing,
     risks_of,
 )
-from app.line.commands.values import staging_wording
+from app.line.commands.values import staging_wording, with_names
 from app.line.live.bus_live import BusLive, LiveState
 from bus.contract import BusLink, ParameterValue, Result, UnitLink, UnitOutcome, Update
 from bus.instants import monotonic_now
@@ -284,6 +284,21 @@ def test_a_withdrawn_part_of_a_change_is_shown_in_the_reader_s_language() -> Non
     part = UnitOutcome(unit=3, outcome="not_sent", message=taken_back)
     assert outcome_text(part).text == taken_back
     assert "vorbereitet; nicht ausgeführt" in translator("de").t(outcome_text(part).text)
+
+
+def test_a_page_names_the_units_and_shows_their_speeds_in_what_the_worker_says() -> None:
+    bus = line().buses["dry"]
+    name = bus.units[1].settings.name
+    reads = Message.of("unit_may_hold", unit=1, reason=Message.of("speed_reads", value=1100), raw=1200)
+    left = Message.of("no_unit_changed_staged_left", reason=reads, units=[1, 250])
+    assert str(left).startswith("unit 1: its commanded speed reads 1100; 1200 may still")
+    assert str(with_names(left, bus)) == (
+        f"{name}: its commanded speed reads 110.0 m/min; 120.0 m/min may still be staged in it; "
+        f"no unit was changed; may still be staged in {name}, 250"
+    )
+    silent = Message.of("no_unit_changed", reason=Message.of("unit_no_response", unit=1))
+    in_german = translator("de").t(with_names(silent, bus))
+    assert in_german.endswith("hat nicht geantwortet; kein Regler wurde geändert")
 
 
 def test_why_a_change_was_not_sent_is_shown_and_not_a_busy_bus() -> None:

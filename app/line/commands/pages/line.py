@@ -14,7 +14,6 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Form
-from msgspec.structs import replace
 from starlette.datastructures import FormData
 from starlette.requests import Request
 from starlette.responses import Response
@@ -117,16 +116,7 @@ def refuse_outsiders(page: BusPage, units: Collection[int]) -> None:
     broadcast executes too, and cannot be given its present one instead."""
     for unit in held_units(page.bus):
         if unit not in units and obstacle_of(page.bus, page.bus.units[unit], unix_now()) is not None:
-            raise Problem(409, "not_loadable", _would_move(page, unit))
-
-
-def _would_move(page: BusPage, unit: int) -> Message:
-    """Return the message that names a unit that a change of other units would move too, with what a person
-    can do about it."""
-    live = page.bus.units.get(unit)
-    obstacle = None if live is None else obstacle_of(page.bus, live, unix_now())
-    is_local = obstacle is not None and obstacle.code == "obstacle_not_in_remote"
-    return Message.of("outsider_in_local" if is_local else "outsider_silent", name=page.name_of(unit))
+            raise Problem(409, "not_loadable", page.would_move(unit))
 
 
 async def typed_setpoints(page: BusPage, form: FormData) -> tuple[dict[int, int], Scales]:
@@ -212,7 +202,7 @@ def proven(
 ) -> Response:
     """Render the outcome of each unit in floor order, then the units that were left out, and the undo of the
     change with this id."""
-    result = _with_outsider_named(page, result)
+    result = page.in_words(result)
     by_unit, units = {outcome.unit: outcome for outcome in result.units}, page.bus.units
     rows = {number: page.outcome(by_unit.get(number, result), number) for number in setpoints}
     proofs: list[tuple[str | Message, str | Message, OutcomeText]] = [
@@ -238,15 +228,6 @@ def proven(
         together=sum(each.outcome == "verified" for each in together),
         skew=None if result.skew_s is None else page.translator.formats.number(result.skew_s * 1000),
     )
-
-
-def _with_outsider_named(page: BusPage, result: Result) -> Result:
-    """Return a result that says by its name which unit outside the change kept it from being sent."""
-    reason = result.message.params.get("reason") if result.message is not None else None
-    if not isinstance(reason, Message) or reason.code not in ("outsider_unknown", "outsider_staged"):
-        return result
-    unit = reason.params["unit"]
-    return replace(result, message=_would_move(page, unit)) if isinstance(unit, int) else result
 
 
 ZERO_TITLE = term("Set line to zero")
