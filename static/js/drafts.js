@@ -37,12 +37,14 @@ function write(drafts) {
   }
 }
 
-/** The address that a form is sent to is stamped with the moment of the press (review.js): without that. A page may have
- * a form for each bus, all sent to one address.
+/** The address that a form is sent to is stamped with the moment of the press (review.js): without that. One address may
+ * have a form for each bus, for each parameter of many units, or for each note that is corrected.
  * @param {HTMLFormElement} form */
 const keyOf = (form) => {
   const address = (form.getAttribute("hx-post") ?? form.action).replace(STAMP, "");
-  return [account, location.pathname, address, new FormData(form).get("bus") ?? ""].join(" ");
+  /** @type {NodeListOf<HTMLInputElement>} */
+  const about = form.querySelectorAll("input[type=hidden]:is([name=bus], [name=number], [name=corrects])");
+  return [account, location.pathname, address, ...Array.from(about, ({ value }) => value)].join(" ");
 };
 
 /** A form that only filters, or is part of a review, has none; nor has a field that is not sent or is a secret.

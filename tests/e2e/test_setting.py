@@ -257,6 +257,15 @@ def test_what_is_typed_stays_while_something_else_is_done(site: Site, browser_pa
     expect(page.locator("#setpoint")).to_have_value("42")
 
 
+def test_a_value_for_one_parameter_of_many_units_is_no_draft_of_another(browser_page: OpensPages) -> None:
+    page = opened(browser_page("engineer", viewport=PANEL), "/batch/line?number=6")
+    page.locator("[name=unit-2]").fill("12.5")
+    opened(page, "/batch/line?number=7")
+    expect(page.locator("[name=unit-2]")).to_have_value("")
+    opened(page, "/batch/line?number=6")
+    expect(page.locator("[name=unit-2]")).to_have_value("12.5")
+
+
 def test_a_refused_setpoint_is_marked_until_it_is_another_and_scrolls_no_row(
     shared_page: OpensPages,
 ) -> None:
