@@ -93,9 +93,24 @@ function putBack(form) {
   const draft = read()[keyOf(form)];
   if (!draft || clock.now() - draft.at > KEPT_S) return;
   const found = fieldsOf(form).filter(({ name, value }) => name in draft.fields && value !== draft.fields[name]);
-  for (const field of found) field.value = draft.fields[field.name];
+  for (const field of found) {
+    field.value = draft.fields[field.name];
+    if (field.dataset.follows !== undefined) field.dataset.touched = "";
+  }
   // Where the page has a place for results, it moves nothing.
   if (found.length) (form.querySelector(".setpoints__act > .change-report") ?? form).prepend(note(form, found, draft.at));
+}
+
+/** @type {WeakSet<HTMLFormElement>} */
+const known = new WeakSet();
+
+/** In the forms of the page, and in those that came later: in a faceplate, in a table that was drawn again. */
+function putBackNew() {
+  for (const form of document.forms) {
+    if (known.has(form) || !canKeep(form)) continue;
+    known.add(form);
+    putBack(form);
+  }
 }
 
 /** @param {HTMLFormElement} form @param {HTMLInputElement[]} found @param {number} at */
@@ -133,7 +148,9 @@ function settle() {
 export function start() {
   if (!account) return;
   settle();
-  for (const form of document.forms) if (canKeep(form)) putBack(form);
+  putBackNew();
+  // What was just set is no draft any more.
+  document.addEventListener("lineside:changed", () => setTimeout(putBackNew));
   document.addEventListener("input", ({ target }) => {
     const { form } = /** @type {HTMLInputElement} */ (target);
     if (form && canKeep(form)) keep(form);

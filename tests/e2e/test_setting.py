@@ -257,6 +257,18 @@ def test_what_is_typed_stays_while_something_else_is_done(site: Site, browser_pa
     expect(page.locator("#setpoint")).to_have_value("42")
 
 
+def test_a_draft_is_there_again_in_a_faceplate_that_is_opened_again(browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/")
+    for _ in range(2):
+        page.locator('[data-unit="line/5"] [data-faceplate]').click()
+        page.locator("#faceplate #setpoint").wait_for()
+        if not page.evaluate("sessionStorage.getItem('lineside-drafts')"):
+            page.locator("#faceplate #setpoint").fill("77")
+            page.keyboard.press("Escape")
+    expect(page.locator("#faceplate [data-draft]")).to_be_attached()
+    expect(page.locator("#faceplate #setpoint")).to_have_value("77")
+
+
 def test_a_value_for_one_parameter_of_many_units_is_no_draft_of_another(browser_page: OpensPages) -> None:
     page = opened(browser_page("engineer", viewport=PANEL), "/batch/line?number=6")
     page.locator("[name=unit-2]").fill("12.5")
