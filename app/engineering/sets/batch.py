@@ -233,6 +233,7 @@ async def batch_review(request: Request, _: ParameterWriter, page: PageOfBus) ->
         bus=page.name,
         parameter=parameter,
         rows=[row for row in rows if row.typed and row.unit not in unable],
+        kept=[row for row in rows if row.unit in unable],
         left_out=by_remark((row.name, unable[row.unit]) for row in rows if row.unit in unable),
         danger=effect_message("setpoint") if number in OPERATING_VALUES else parameter.dangerous,
     )
@@ -257,14 +258,16 @@ def refused_batch(page: BusPage, parameter: Parameter, rows: list[BatchRow]) -> 
 async def batch_write(
     request: Request, person: ParameterWriter, page: PageOfBus, id: Annotated[str, Form(max_length=40)] = ""
 ) -> Response:
-    """Write the values that the review showed. ``id``: of the form."""
+    """Write the values that the review showed; what was typed for a unit that was left out stays. ``id``: of
+    the form."""
     number, typed = await typed_batch(request)
     parameter = writable_or_404(number)
     rows = rows_of_batch(page.bus, number, typed)
     try:
         if any(row.fault for row in rows):
             raise Problem(422, "invalid", Message("value_not_writable"))
-        refuse_moved(rows, _by_unit(await request.form(), "was-"))
+        form = await request.form()
+        refuse_moved(rows, _by_unit(form, "was-"))
     except Problem as problem:
         return page.not_sent(problem)
     confirm = bool(parameter.dangerous)
@@ -277,7 +280,8 @@ async def batch_write(
     in_all = OutcomeText(
         tone, joined((some, *failed_units((name, words) for name, _, words in proofs))) or some
     )
-    kept = {
+    left_out = _by_unit(form, "kept-")
+    kept = left_out | {
         each.row.unit: each.row.typed
         for each, (_, _, outcome) in zip(results, proofs, strict=True)
         if outcome.tone != "good"
@@ -287,7 +291,7 @@ async def batch_write(
         fields=page.fields(),
         bus=page.name,
         parameter=parameter,
-        proofs=proofs,
+        proofs=[*proofs, *((page.name_of(unit), "", page.outcome_left_out(unit)) for unit in left_out)],
         undo=_undo(page, parameter, results),
         outcome=proofs[0][2] if len(proofs) == 1 else in_all,
         skew=None,

@@ -345,6 +345,11 @@ async def test_the_review_counts_only_the_units_that_take_the_value(
     assert "Write Acceleration Ramp Rate to 1 unit<" in review
     assert ("unit-1" in review, "unit-2" in review) == (True, False)
     assert 'data-remark="obstacle_offline"' in review
+    assert 'name="kept-2" value="30"' in review
+    form = {"number": "6", "unit-1": "20", "kept-2": "30"}
+    done = (await client.post("/batch/dry-end/write", data=form, headers=origin)).text
+    assert 'name="unit-2" value="30"' in done
+    assert "left out" in done
 
 
 def test_the_review_of_a_secret_holds_nothing_of_it() -> None:
