@@ -316,6 +316,8 @@ class BusLive:
     worker_lost: Onset | None
     """The time when the last worker was lost; None while one is connected."""
     figures: BusFigures | None = None
+    figures_before: BusFigures | None = None
+    """The last figures of a worker that was lost."""
     units: dict[int, UnitLive] = field(default_factory=dict)
     read_at: UnixTime | None = None
     """The time of the newest reading of any unit."""
@@ -371,7 +373,7 @@ class BusLive:
     def lose_worker(self, at: UnixTime, cause: Message = NO_WORKER) -> None:
         """Note that the worker's connection ended: the port counts as closed, no value as fresh."""
         self.worker_lost = Onset(at)
-        self.figures = None
+        self.figures, self.figures_before = None, self.figures or self.figures_before
         units = [unit for unit in self.units.values() if unit.link.link == "online"]
         stale = [UnitLink(unit=unit.settings.id, at=at, link="stale", cause=cause) for unit in units]
         self.apply([BusLink(at=at, link="closed", cause=cause), *stale])

@@ -14,8 +14,8 @@ import pytest
 from app.core.web.access import Role
 from app.line.live.bus_live import LiveState
 from app.line.live.pages import digits_of, next_step, view_for
-from bus.contract import BusLink, ParameterValue
-from bus.instants import UnixTime
+from bus.contract import BusFigures, BusLink, ParameterValue, UnitFigures
+from bus.instants import UnixTime, unix_now
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import a_bus, responding
 from tests.app.played_line import BUS, played_line
@@ -109,10 +109,21 @@ async def test_the_faceplate_is_a_part_of_the_line_with_what_the_role_may_do(hou
         assert ('name="value"' in part.text) is may_set
 
 
-async def test_a_bus_without_figures_promises_none(house: House) -> None:
-    house.services[LiveState].buses["dry-end"].apply([BusLink(at=UnixTime(1.0), link="closed")])
-    page = (await (await house.signed_in(Role.VIEWER)).get("/bus/dry-end")).text
-    assert ("there are no figures yet" in page, "up to then" in page) == (True, False)
+async def test_the_figures_of_a_bus_outlast_its_worker_and_promise_nothing(house: House) -> None:
+    bus, client = house.services[LiveState].buses["dry-end"], await house.signed_in(Role.VIEWER)
+
+    async def says(*texts: str) -> bool:
+        page = (await client.get("/bus/dry-end")).text
+        return all(text in page for text in texts)
+
+    silent = "because the bus worker does not respond."
+    assert await says(silent, "There are no figures yet.")
+    bus.worker_lost = None
+    bus.apply([BusLink(at=UnixTime(1.0), link="closed")])
+    assert await says("Nothing is requested.", "There are no figures yet.")
+    bus.apply([BusFigures(unix_now(), 1.0, 1.0, 0.5, 1.3, units=[UnitFigures(unit=2, responses=987)])])
+    bus.lose_worker(unix_now())
+    assert await says(silent, "up to then", ">987<")
 
 
 async def test_the_view_is_remembered(house: House) -> None:

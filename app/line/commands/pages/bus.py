@@ -25,6 +25,7 @@ from app.line.commands.review import outcome_text
 from app.line.commands.safeguards import END_READ_ONLY, FORCE_CONTROL, SET_READ_ONLY, TAKE_CONTROL
 from app.line.commands.service import END_SCAN, permitted
 from app.line.commands.undo import UndoOffer
+from app.line.live.diagnosis import connection_cause
 from app.line.live.hub import Hub
 from bus.contract import (
     ChangeBaud,
@@ -36,6 +37,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.errors import unit_error
+from bus.instants import unix_now
 from bus.messages import Message, term
 from bus.settings import BAUDS
 from bus.validation import OneLine, TypedText
@@ -99,10 +101,10 @@ async def unit_rows(_: Viewer, page: PageOfBus) -> Response:
 
 
 def _units(page: BusPage) -> dict[str, Any]:
-    figures = {} if page.bus.figures is None else {unit.unit: unit for unit in page.bus.figures.units}
+    last = page.bus.figures or page.bus.figures_before
+    figures = {} if last is None else {unit.unit: unit for unit in last.units}
     rows = [{"unit": page.shown(number), "figures": figures.get(number)} for number in page.bus.units]
-    closed_since = page.bus.link_onset.at if page.bus.link.link == "closed" else None
-    shown = {"fields": page.fields(), "name": page.name, "closed_since": closed_since}
+    shown = {"fields": page.fields(), "name": page.name, "silent": connection_cause(page.bus, unix_now())}
     return {"rows": rows, "unit_error": unit_error, **shown}
 
 
