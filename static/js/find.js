@@ -42,6 +42,8 @@ function open() {
 function choose(event) {
   const target = /** @type {HTMLElement} */ (event.target);
   const inField = target.id === "find-typed";
+  // In a search field Escape would empty it first.
+  if (inField && event.key === "Escape") dialog?.close();
   if (!inField && !target.matches(".find__place")) return;
   const places = [...document.querySelectorAll(".find__place")];
   const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];

@@ -37,6 +37,7 @@ ACTIONS = (
     FixedPlace(Message("find_bus_load"), "/bus"),
     FixedPlace(Message("find_add_user"), "/users#add", "add_user"),
     FixedPlace(Message("find_change_password"), "/account", words=Message("find_words_account")),
+    FixedPlace(Message("find_change_language"), "/account", words=Message("find_words_language")),
     FixedPlace(Message("find_backups"), "/system", words=Message("find_words_system")),
     FixedPlace(Message("find_theme"), "#theme-toggle", words=Message("find_words_theme")),
     FixedPlace(Message("find_full_screen"), "#full-screen"),
@@ -64,6 +65,9 @@ def make(services: Services) -> None:
     finders = services.add(Finders())
     pages = [FixedPlace(page.label, page.href, page.act) for group in GROUPS for page in group.pages]
     finders.add_links("find_pages", pages)
+    if services.demo:
+        tour = FixedPlace(Message("find_tour"), "#tour", words=Message("find_words_tour"))
+        finders.add_links("find_actions", [tour])
     finders.add_links("find_actions", ACTIONS)
 
 

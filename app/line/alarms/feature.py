@@ -121,9 +121,7 @@ async def own_alarms_page(
         return _page(request, written)
     try:
         unnamed = templates_of(request).language_of(request).t(UNNAMED)
-        settings = proposed(
-            {**_keys(request, written), **_name(written, unnamed)}, list(history.buses.values())
-        )
+        settings = proposed({**_keys(written), **_name(written, unnamed)}, list(history.buses.values()))
     except Problem as problem:
         return _page(request, written, fault=problem)
     end, bus = unix_now(), history.buses[settings.bus]
@@ -150,7 +148,7 @@ async def store_own_alarm(
 ) -> Response:
     """Add the alarm of the form, or change the one that it names."""
     written = _written(form)
-    keys = _keys(request, written) | _name(written, "")
+    keys = _keys(written) | _name(written, "")
     try:
         if written["change"]:
             version = parse_integer(written["version"]) or 0
@@ -247,9 +245,8 @@ def _kept(own: OwnAlarmBook, key: str) -> dict[str, Any]:
     return {} if former is None else former.settings.model_dump(include=_WITHOUT_FIELD)
 
 
-def _keys(request: Request, written: dict[str, str]) -> dict[str, Any]:
-    """Return the keys of ``[[alarm]]``; a number may have the decimal comma of the reader."""
-    formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
+def _keys(written: dict[str, str]) -> dict[str, Any]:
+    """Return the keys of ``[[alarm]]``; a number may have a decimal comma."""
     bus, _, unit = written["place"].partition("/")
     keys: dict[str, Any] = {
         "bus": bus,
@@ -257,9 +254,9 @@ def _keys(request: Request, written: dict[str, str]) -> dict[str, Any]:
         "value": written["value"],
         "priority": written["priority"],
     }
-    keys |= {key: formats.typed_number(written[key]) for key in _NUMBERS if written[key].strip()}
+    keys |= {key: written[key].replace(",", ".") for key in _NUMBERS if written[key].strip()}
     keys |= {key: written[key].strip() for key in _TEXTS}
-    keys |= {key: _delay(formats.typed_number(written[key])) for key in _DELAYS if written[key].strip()}
+    keys |= {key: _delay(written[key].replace(",", ".")) for key in _DELAYS if written[key].strip()}
     return keys | ({"state": written["state"]} if written["state"] else {})
 
 

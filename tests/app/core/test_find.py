@@ -99,7 +99,13 @@ async def test_help_actions_and_the_state_of_an_input_are_found(tmp_path: Path) 
         assert 'href="/swap/dry-end/2"' in await found(engineer, "replace nip")
         assert "data-theme-toggle" in await found(client, "theme")
         assert 'href="/system"' in await found(client, "backup")
-        for typed, page in (("tour", "/help"), ("legend", "/help/legend"), ("drift", "/sets/compare")):
+        assert "data-tour" not in await found(client, "tour"), "only a demo has one"
+        for typed, page in (
+            ("tour", "/help"),
+            ("Sprache", "/account"),
+            ("legend", "/help/legend"),
+            ("drift", "/sets/compare"),
+        ):
             assert f'href="{page}"' in await found(client, typed)
         never = await found(client, "nip run input")
         assert re.search(rf"Nip · Run input</span>\s*<small><span[^>]*>{UNKNOWN}<", never)
@@ -110,6 +116,14 @@ async def test_help_actions_and_the_state_of_an_input_are_found(tmp_path: Path) 
         assert re.search(r"Nip · Run input</span>\s*<small><span[^>]*>(on|off)<", shown)
         assert "Run input" not in await found(client, "nip"), "a name alone is that of the unit"
         assert ">8 more<" in await found(client, "input"), "of seven of each of two units"
+
+
+async def test_a_demo_finds_its_tour_first(tmp_path: Path) -> None:
+    async with complete_app(tmp_path, demo=True) as house:
+        house.address = "127.0.0.1"
+        client = house.client(host="127.0.0.1:8000")
+        found = await client.get("/find", params={"typed": "tour", "part": "true"})
+        assert 0 < found.text.find("data-tour") < found.text.find('href="/help"')
 
 
 async def test_units_of_one_name_are_told_apart_by_their_bus(tmp_path: Path) -> None:

@@ -366,7 +366,9 @@ async def test_the_page_has_the_form_the_result_and_the_entry(house: House) -> N
     assert "History begins at" in page
     assert "name = &#34;Too fast&#34;" in page
     german = {"Accept-Language": "de"}
-    page = (await engineer.get("/alarms/own", params={**query, "above": "105,0"}, headers=german)).text
+    comma = query | {"above": "105,0"}
+    assert "would have come 3 times." in (await engineer.get("/alarms/own", params=comma)).text
+    page = (await engineer.get("/alarms/own", params=comma, headers=german)).text
     assert "Der Alarm wäre 3-mal gekommen." in page
     for change, words in (
         ({"on_delay_s": "-1"}, "On-delay, s = -1.0"),
