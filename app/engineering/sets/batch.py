@@ -20,6 +20,7 @@ from app.errors import Problem
 from app.line.commands.effects import OPERATING_VALUES, effect_message, warning_of
 from app.line.commands.limits import Limits
 from app.line.commands.page_context import BusPage, PageOfBus, new_id
+from app.line.commands.pages.unit import CONFIRMING_WORD
 from app.line.commands.review import (
     OutcomeText,
     Tone,
@@ -256,7 +257,11 @@ def refused_batch(page: BusPage, parameter: Parameter, rows: list[BatchRow]) -> 
 
 @router.post("/batch/{bus}/write")
 async def batch_write(
-    request: Request, person: ParameterWriter, page: PageOfBus, id: Annotated[str, Form(max_length=40)] = ""
+    request: Request,
+    person: ParameterWriter,
+    page: PageOfBus,
+    id: Annotated[str, Form(max_length=40)] = "",
+    word: Annotated[str, Form(alias="typed", max_length=20)] = "",
 ) -> Response:
     """Write the values that the review showed; what was typed for a unit that was left out stays. ``id``: of
     the form."""
@@ -266,6 +271,8 @@ async def batch_write(
     try:
         if any(row.fault for row in rows):
             raise Problem(422, "invalid", Message("value_not_writable"))
+        if parameter.dangerous and word.strip() != CONFIRMING_WORD:
+            raise Problem(409, "dangerous", Message("word_not_typed"))
         form = await request.form()
         refuse_moved(rows, _by_unit(form, "was-"))
     except Problem as problem:

@@ -352,6 +352,17 @@ async def test_the_review_counts_only_the_units_that_take_the_value(
     assert "left out" in done
 
 
+async def test_a_dangerous_value_is_not_written_without_the_word(
+    house: House, client: httpx.AsyncClient
+) -> None:
+    responding(house.services[LiveState])
+    form, origin = {"number": "27", "unit-1": "1"}, {"Origin": str(client.base_url)}
+    refused = await client.post("/batch/dry-end/write", data=form, headers=origin)
+    assert refused.status_code == 409
+    sent = await client.post("/batch/dry-end/write", data=form | {"typed": "WRITE"}, headers=origin)
+    assert sent.status_code == 200
+
+
 def test_the_review_of_a_secret_holds_nothing_of_it() -> None:
     live = line(run=False)
     live.buses["dry-end"].apply([ParameterValue(unit=1, number=21, at=2.0, raw=4711)])
