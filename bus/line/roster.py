@@ -273,11 +273,14 @@ class Roster:
         record = self[unit]
         former = record.staged, record.staged_unknown
         record.staged, record.staged_unknown, record.staged_scale = raw, unknown, {}
-        return [] if former == (raw, unknown) else [Staged(unit, at, raw, unknown)]
+        if former == (raw, unknown) or not self.is_configured(unit):
+            return []
+        return [Staged(unit, at, raw, unknown)]
 
     def note_held(self, units: Iterable[int], at: UnixTime) -> None:
-        """Note the units that may hold a speed which an earlier worker has staged in them."""
-        for unit in filter(self.is_configured, units):
+        """Note the units that may hold a speed which an earlier worker has staged in them: also those that
+        are not configured any more, which a broadcast moves as well."""
+        for unit in units:
             self.stage(unit, None, at, unknown=True)
 
     def stage_unanswered(self, unit: int, at: UnixTime) -> list[UnitUpdate]:

@@ -445,6 +445,23 @@ async def test_what_an_earlier_worker_staged_is_not_known_and_moves_with_no_othe
 
 
 @at_keypads()
+async def test_what_is_staged_in_a_unit_that_is_not_configured_any_more_moves_with_no_change(
+    line: VirtualLine,
+) -> None:
+    removed, silent = KeypadUnit(UNITS + 1), UNITS + 2
+    drives(line).append(removed)
+    removed.staged = 300
+    line.worker.note_held([removed.address, silent])
+    result = await line.perform(SetLine({2: 800, 3: 800}))
+    assert (result.outcome, removed.commanded) == ("verified", 500)
+    line.worker.line.roster.note_held([removed.address], EPOCH)
+    removed.staged = 300
+    await line.perform(SetSpeed(1, 600, execute=False))
+    assert ((await line.perform(ExecuteAll())).outcome, drives(line)[0].commanded) == ("verified", 600)
+    assert removed.commanded == 500
+
+
+@at_keypads()
 async def test_what_82h_left_in_a_unit_without_a_response_is_not_known_and_moves_with_no_other(
     line: VirtualLine,
 ) -> None:

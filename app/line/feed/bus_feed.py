@@ -284,6 +284,8 @@ class HeldSpeeds:
     _database: Database
     _under_way: Counter[int] = field(default_factory=Counter)
     """The number of commands under way that stage a speed in each unit."""
+    _removed: set[int] = field(default_factory=set)
+    """Those that are not configured any more: they may still be on the bus."""
     _stored: set[int] = field(default_factory=set)
     _storing: asyncio.Lock = field(default_factory=asyncio.Lock)
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
@@ -293,13 +295,14 @@ class HeldSpeeds:
         query, bus = "SELECT unit FROM held_speed WHERE bus = ?", (self._live.settings.name,)
         rows = await self._database.read(lambda connection: connection.execute(query, bus).fetchall())
         self._stored = {unit for (unit,) in rows}
+        self._removed = self._stored - self._live.units.keys()
         self.show_unknown(self._stored)
         self._live.subscribe(Audience.DRIFT, self._note)
 
     @property
     def units(self) -> list[int]:
         """Return the addresses of the units that may hold a staged speed, as far as the app knows."""
-        return sorted({*held_units(self._live), *+self._under_way})
+        return sorted({*held_units(self._live), *+self._under_way, *self._removed})
 
     @asynccontextmanager
     async def staging(self, units: Collection[int]) -> AsyncIterator[None]:

@@ -16,7 +16,7 @@ withdraw     instead of the broadcast: every unit that may hold a staged speed o
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from msgspec.structs import replace
@@ -129,6 +129,7 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
     failure = yield from _read_scales([member for member in members if member.unit in knew], context)
     if failure is not None:
         return _stopped(members, *failure)
+    yield from _suspend_others(roster, roster.configured, context)
     sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
     if sent.status is not SendStatus.SENT:
         return ProcedureResult(*not_sent(ALL_UNITS, sent))
@@ -162,7 +163,7 @@ def _likely_refusals_first(
 
 
 def _suspend_others(
-    roster: Roster, setpoints: Mapping[int, int], context: CommandContext
+    roster: Roster, setpoints: Collection[int], context: CommandContext
 ) -> Subprocedure[tuple[Suspended, Failure | None]]:
     """Suspend the staged speeds of units outside the change. Return those to give back at the end, and why
     the change must not go on; None if it may."""
@@ -173,6 +174,8 @@ def _suspend_others(
         if staged is None and not record.staged_unknown:
             continue
         if (yield from _stage_present(record, context)) is None:
+            if not roster.is_configured(record.unit):
+                continue  # It was taken away, most likely: that must not keep every change from being sent.
             reason = Message.of("outsider_unknown", unit=record.unit)
             if staged is not None:
                 reason = Message.of("outsider_staged", unit=record.unit, staged=staged)

@@ -149,6 +149,10 @@ async def test_what_units_may_hold_staged_outlives_worker_and_server(site: House
     assert held_units(restarted) == [1, 2]
     assert restarted.units[1].staged_unknown
     await worker.leave(GOING_AWAY)
+    settings = live.settings.model_copy(update={"unit": live.settings.unit[1:]})
+    without_1 = HeldSpeeds(bus_without_reports(settings, unix_now()), database)
+    await without_1.load()
+    assert without_1.units == [1, 2], "a unit that was taken out of the configuration may still be on the bus"
     await take_over(site, held=[1, 2])
     await until(lambda: stored() == [], "both units removed, as this worker knows what they hold")
 
