@@ -353,7 +353,7 @@ def _add_banner(services: Services, banner: AlarmBanner, observe_age: Callable[[
         return banner.banner(Translator(language, templates.formats(language.tag)))
 
     services[Sources].show_alarms(
-        banner.banner, banner.unit_fields, banner.delay_s, banner.since, observe_age
+        banner.banner, banner.unit_fields, banner.delay_s, banner.since, banner.shelved_until, observe_age
     )
     templates.parts["head_alarms"] = alarms_in
 

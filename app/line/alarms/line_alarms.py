@@ -442,6 +442,11 @@ class AlarmBanner:
             return None
         return alarm.state_at
 
+    def shelved_until(self, place: str, code: str) -> UnixTime | None:
+        """Return until when the alarm of a condition of a unit or bus is shelved; None if it is not."""
+        alarm = self._of(place, code)
+        return None if alarm is None else alarm.facts.shelved_until
+
     def _of(self, place: str, code: str) -> Alarm | None:
         bus, _, unit = place.partition("/")
         return self._alarms.known(alarm_key(bus, int(unit) if unit else None, code))

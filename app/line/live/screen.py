@@ -61,7 +61,7 @@ from app.line.live.fields import (
     unit_fields,
     unit_key,
 )
-from app.line.live.sources import AlarmDelay, Sources, no_delay
+from app.line.live.sources import AlarmDelay, ShelvedUntil, Sources, no_alarm, no_delay
 from bus.instants import UnixTime
 from bus.messages import NUMBER, Message, listed, term
 
@@ -124,12 +124,14 @@ def line_fields(
     now: UnixTime,
     alarmed: Set[str] = frozenset(),
     alarm_delay_s: AlarmDelay = no_delay,
+    shelved_until: ShelvedUntil = no_alarm,
 ) -> Fields:
     """Return the fields of the line. ``found``: everything abnormal, the worst first; ``alarmed``: the units
-    with an active alarm; ``alarm_delay_s``: when a condition becomes one. The verdict is the worst cause
-    (``cause``) after the name of its unit (``name``), which a narrow page may drop; ``untimed`` is the cause
-    without its time, which the pages of units and alarms state beside the condition. ``beside``: what is
-    ``named`` as well, for a line that breaks between two of them only."""
+    with an active alarm; ``alarm_delay_s``: when a condition becomes one; ``shelved_until``: until when its
+    alarm is shelved. The verdict is the worst cause (``cause``) after the name of its unit (``name``), which
+    a narrow page may drop; ``untimed`` is the cause without its time, which the pages of units and alarms
+    state beside the condition. ``beside``: what is ``named`` as well, for a line that breaks between two of
+    them only."""
     counts = state_counts(views.values())
     abnormal = len(_abnormal_units(buses, found) | alarmed)
     worst, said = verdict_of(found), set[str]()
@@ -144,6 +146,7 @@ def line_fields(
     named = [
         *_named(found, worst.key if worst else "", said, views, translator, now),
         *_not_yet(worst, alarm_delay_s, translator),
+        *_shelved(found, worst.key if worst else "", shelved_until, translator, now),
     ]
     return {
         "level": worst.cause.level if worst else "",
@@ -281,6 +284,32 @@ def _stopped_by_input(found: Sequence[NamedCause], worst: str, translator: Trans
     many = translator.tn("{n} unit", "{n} units", len(stopped))
     names = _listed(stopped, translator) if len(stopped) <= MAX_NAMES else many
     return [f"{names}: {translator.t(NO_ALARM)}"]
+
+
+def shelved_text(
+    cause: Cause | None, place: str, shelved_until: ShelvedUntil, translator: Translator, now: UnixTime
+) -> str:
+    """Return until when the alarm of a cause is shelved; empty if it is not."""
+    row = None if cause is None else TILES.get(cause.code)
+    until = None if row is None else shelved_until(place, row.code)
+    if until is None:
+        return ""
+    return translator.t(Message.of("cause_shelved", time=translator.formats.since(until, now)))
+
+
+def _shelved(
+    found: Sequence[NamedCause], worst: str, until: ShelvedUntil, translator: Translator, now: UnixTime
+) -> list[str]:
+    """Return which conditions are in no list of alarms because theirs is shelved; without a name that of the
+    verdict."""
+    named: dict[str, list[NamedCause]] = {}
+    for each in found:
+        if text := shelved_text(each.cause, each.key, until, translator, now):
+            named.setdefault(text, []).append(each)
+    return [
+        text if [each.key for each in alike] == [worst] else f"{_listed(alike, translator)}: {text}"
+        for text, alike in named.items()
+    ]
 
 
 def _figures(buses: Mapping[str, BusLive], translator: Translator, now: UnixTime) -> Fields:
@@ -441,6 +470,11 @@ class Screen:
                     status = cause_texts(ladder, self.translator, now).line
                     if ramps:
                         self._briefs[key] = status, ""
+        shelved = shelved_text(cause, key, self.sources.shelved_until, self.translator, now)
+        if is_beside_running(cause):
+            check = " · ".join(filter(None, (check, shelved)))
+        else:
+            status = " · ".join(filter(None, (status, shelved)))
         draw, run = draw_of(bus, unit, now), both_run(bus, unit)
         fields |= draw_fields(draw, self.translator, both_run=run)
         of_bus = connection_cause(bus, now)
@@ -480,5 +514,6 @@ class Screen:
         buses, views = self.live.buses, self._views
         alarmed = {key for key in views if _is_active(str(self.shown[key].get("alarm", "")))}
         found = abnormal_of(buses, views, now)
-        delay_s = self.sources.alarm_delay_s
-        return self.put(LINE_GROUP, line_fields(buses, views, found, self.translator, now, alarmed, delay_s))
+        delay_s, shelved = self.sources.alarm_delay_s, self.sources.shelved_until
+        line = line_fields(buses, views, found, self.translator, now, alarmed, delay_s, shelved)
+        return self.put(LINE_GROUP, line)

@@ -113,6 +113,8 @@ AlarmDelay = Callable[[str, str], float]
 becomes an alarm; 0 if it is one, or something hides it."""
 AlarmSince = Callable[[str, str], UnixTime | None]
 """A function that returns since when a condition of a unit or bus is an active alarm; None if it is none."""
+ShelvedUntil = Callable[[str, str], UnixTime | None]
+"""A function that returns until when the alarm of such a condition is shelved; None if it is not."""
 LoadedRecipe = Callable[[], tuple[str, list[str | Message]] | None]
 """A function that returns the recipe a bus loaded last and the units that differ from it since, if any."""
 Notice = Callable[[Formats, UnixTime], Message | None]
@@ -141,6 +143,7 @@ class Sources:
     unit_alarm: UnitAlarm = lambda *_: {}
     alarm_delay_s: AlarmDelay = no_delay
     alarm_since: AlarmSince = no_alarm
+    shelved_until: ShelvedUntil = no_alarm
     observe_age: Callable[[], None] = lambda: None
     notices: list[Notice] = field(default_factory=list)
     history_fault: Callable[[], Message | None] = lambda: None
@@ -151,11 +154,12 @@ class Sources:
         unit_alarm: UnitAlarm,
         delay_s: AlarmDelay,
         since: AlarmSince,
+        shelved_until: ShelvedUntil,
         observe_age: Callable[[], None],
     ) -> None:
         """Show the alarms that these functions return, from now on."""
         self.banner, self.unit_alarm, self.observe_age = banner, unit_alarm, observe_age
-        self.alarm_delay_s, self.alarm_since = delay_s, since
+        self.alarm_delay_s, self.alarm_since, self.shelved_until = delay_s, since, shelved_until
 
     def notice(self, translator: Translator, now: UnixTime) -> str:
         """Return the faults of the server's records in the reader's language; mostly empty."""

@@ -258,6 +258,24 @@ def test_a_cause_that_is_an_alarm_is_told_with_the_time_of_the_alarm() -> None:
     assert str(shown.shown["line_summary"]["cause"]).endswith("since 00:04")
 
 
+def test_a_cause_whose_alarm_is_shelved_says_until_when_on_its_page_and_beside_the_verdict() -> None:
+    live = line()
+    shown = screen(live)
+    shown.sources.shelved_until = lambda *of: UnixTime(900.0) if of == ("dry/2", "estop_active") else None
+    live.buses["dry"].apply([reading(2, at=258.0, inputs=1)])
+    shown.render("dry", [2], UnixTime(260.2), include_bus=False)
+    assert str(shown.shown["dry/2"]["status"]).endswith(" · alarm shelved until 00:15")
+    assert shown.shown["line_summary"]["named"] == "alarm shelved until 00:15"
+    found = [
+        NamedCause("dry/1", "Nip", abnormal("not_at_speed")),
+        NamedCause("dry/2", "Coater", abnormal("estop_active")),
+    ]
+    fields = line_fields(
+        {}, {}, found, translator("de"), UnixTime(0.0), shelved_until=shown.sources.shelved_until
+    )
+    assert fields["named"] == "Coater: Alarm zurückgestellt bis 00:15"
+
+
 def figures(scan_s: float = 0.3) -> BusFigures:
     return BusFigures(at=100.0, scan_hz=3, scan_s=scan_s, wire_utilisation=0.9, scan_s_with_one_more=0.4)
 
