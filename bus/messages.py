@@ -249,7 +249,8 @@ def shown(value: ParamValue, catalog: Catalog) -> str:
             return catalog.time(value) if _TIME.fullmatch(value) else catalog.isolated(value)
         case list():
             separator = "; " if any(isinstance(each, Message) for each in value) else ", "
-            return separator.join(shown(each, catalog) for each in value)
+            # A question ends its own sentence.
+            return separator.join(shown(each, catalog) for each in value).replace("?; ", "? ")
         case float():
             return str(value).replace(".", catalog.point)
         case _:

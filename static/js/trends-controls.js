@@ -48,7 +48,7 @@ export function bindControls(root, trends, explain, draw) {
     if (span) view.follow(Number(span));
     else if (preset) view.showPreset(preset);
     else if (move) MOVES[move](view);
-    else if (target.closest("#trend-copy")) copyLink(view.link(), words);
+    else if (target.closest("#trend-copy")) copyLink(view, words);
     else if (act) {
       ACTS[act](trends, of);
       draw();
@@ -77,14 +77,18 @@ const onSubmit = (form, act) =>
     act(form);
   });
 
-/** Without https a browser has no clipboard but the selection of a field. @param {string} address @param {TrendWords} words */
-function copyLink(address, words) {
+/** The view whose link was copied. */
+let copied = "";
+
+/** Without https a browser has no clipboard but the selection of a field. @param {View} view @param {TrendWords} words */
+function copyLink(view, words) {
   const link = document.getElementById("trend-link");
-  link.value = address;
+  link.value = view.link();
   link.hidden = false;
   link.select();
   link.hidden = document.execCommand("copy");
   document.getElementById("trend-copied").textContent = link.hidden ? words.copied : "";
+  copied = String(view.query());
 }
 
 /** Show in the controls what the view is. @param {HTMLElement} root @param {Trends} trends */
@@ -105,6 +109,7 @@ export function showControls(root, { view, range }) {
   document.getElementById("trend-scale").value = view.scale;
   document.getElementById("trend-compare").value = view.compare;
   document.getElementById("trend-marks").checked = view.marks;
+  if (copied !== String(view.query())) document.getElementById("trend-copied").textContent = "";
   document.getElementById("trend-save").elements.query.value = String(view.query());
   for (const file of ["csv", "data", "parquet"]) {
     const link = /** @type {HTMLAnchorElement | null} */ (document.getElementById(`export-${file}`));

@@ -89,6 +89,11 @@ def test_the_results_of_every_unit_fit_into_one_message() -> None:
     assert several.params == {"messages": [one] * 255}
 
 
+def test_a_question_among_several_texts_ends_its_own_sentence() -> None:
+    question = Message.of("port_missing", port="/dev/tty-1")
+    assert "plugged in? /dev" in str(joined([question, question]))
+
+
 def test_what_would_be_too_large_is_text() -> None:
     large = Message.of("x", a=["y" * (LARGEST // 10)] * 6)
     together = Message.of("z", first=large, second=large)
