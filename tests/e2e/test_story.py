@@ -219,9 +219,9 @@ def test_what_is_read_aloud_of_the_other_pages_of_an_operator_is_in_order(
         expect(page.locator("[data-unit='line/7'] .by-mode__not")).to_be_visible()
         together = page.evaluate(HEADINGS_AND_CONTROLS, ".main")[:10]
         assert together[0] == "Setpoints"
-        assert [text[1:] for text in together[1:5]] == [f"{n} % of each own setpoint" for n in (5, 1, 1, 5)]
-        assert together[5:8] == ["What to enter", "Value for all selected", "Enter values"]
-        assert together[8:] == ["Select all", "Clear values"]
+        assert together[1] == "Select all"
+        assert [text[1:] for text in together[2:6]] == [f"{n} % of each own setpoint" for n in (5, 1, 1, 5)]
+        assert together[6:] == ["What to enter", "Value for all selected", "Enter values", "Clear values"]
         assert page.evaluate(HEADINGS_AND_CONTROLS, ".setpoints tbody tr:nth-child(2)") == [
             *(site.unit(2)["name"],) * 2,
             f"New setpoint of {site.unit(2)['name']}",
