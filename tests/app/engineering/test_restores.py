@@ -473,6 +473,19 @@ async def test_a_second_look_keeps_what_was_deselected_and_no_setpoint(
     assert selected(fresh) == {6: False, 7: True, 20: False, 37: False}
 
 
+async def test_a_restore_that_ended_early_has_a_mark_and_its_cause(
+    house: House, client: httpx.AsyncClient, golden: int, line: PlayedLine
+) -> None:
+    planned = await plan(client, golden)
+    restore = await house.services[RestoreService].find(planned["id"])
+    assert restore is not None
+    restore.stop("canceled", Message.of("restore_left_off", who="ben", done=0, n=4))
+    page = (await client.get(f"/restores/{planned['id']}", headers={"accept": "text/html"})).text
+    assert "outcome--bad" in page
+    assert "The restore ended early. Review the remaining rows to finish it.<br><small>canceled" in page
+    assert line.written == []
+
+
 async def test_confirming_a_danger_plans_again_with_it(
     client: httpx.AsyncClient, line: PlayedLine, golden: int
 ) -> None:
