@@ -21,6 +21,7 @@ from app.engineering.sets.model import SetOrigin
 from app.engineering.sets.restore_plan import RestoreState
 from app.line.commands.catalogue import BAUD_DANGER
 from app.line.commands.record import CommandOrigin
+from app.line.conditions.catalogue import CONDITIONS
 from app.line.history.series.values import VALUES
 from app.line.live.fields import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
 from app.people.audit.entry import EventKind
@@ -121,6 +122,7 @@ def in_tables() -> set[str]:
         *get_args(UnitLinkState),
         *REFUSED,
         BAUD_DANGER,
+        *(row.means for row in CONDITIONS.values() if row.means),
         *(value.words for value in VALUES.values()),
     }
 

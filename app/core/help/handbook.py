@@ -77,7 +77,7 @@ CHAPTERS = (
     Chapter("mqtt.md", DO),
     Chapter("opcua.md", DO),
     Chapter("configuration.md", LOOK_UP),
-    Chapter("alarms.md", LOOK_UP),
+    Chapter("alarms.md", LOOK_UP, GERMAN),
     Chapter("guide/command-line.md", LOOK_UP),
     Chapter("api.md", LOOK_UP),
     Chapter("guide/metrics.md", LOOK_UP),

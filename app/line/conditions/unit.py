@@ -193,8 +193,8 @@ BY_VALUE: tuple[Condition[ValuePredicate], ...] = (
         "deviation",
         ("major", "minutes"),
         holds=_deviation,
-        means="the unit does not ramp, and its actual speed is more than 5 % of #2 away from the commanded"
-        " one, also where it reports AT SPEED; clears within 4 %",
+        means="the unit does not ramp, and its actual speed is more than 5 % of its maximum display value"
+        " (parameter 2) away from the commanded one, also where it reports AT SPEED; clears within 4 %",
         tuning=Tuning(Decimal(5), None, Decimal(1), on_delay_s=5, off_delay_s=2),
         group="speed",
     ),
@@ -243,7 +243,7 @@ BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
         ("major", "half_hour"),
         about="parameters",
         holds=_ratio_out_of_limits,
-        means="the ratio (#37) of a follower is outside #38 and #31",
+        means="the ratio (parameter 37) of a follower is outside its limits (parameters 38 and 31)",
         group="unit",
     ),
     Condition(
@@ -251,7 +251,7 @@ BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
         ("severe", "half_hour"),
         about="communication",
         holds=lambda bus, unit: suspicion(bus, unit) is not None,
-        means="#17 reads as another address, or responses come twice; latched",
+        means="parameter 17 reads as another address, or responses come twice; latched",
         latching=True,
         tiles=("address_suspect",),
     ),

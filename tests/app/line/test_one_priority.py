@@ -19,7 +19,7 @@ from app.line.live.fields import cause_texts, check_text
 from bus.contract import BusLink, ParameterValue, UnitLink
 from bus.instants import UnixTime
 from bus.messages import TEXTS, Message
-from docs.alarm_table import DOCUMENT, alarm_table, with_table
+from docs.alarm_table import DOCUMENTS, alarm_table, with_table
 from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, screen, translator
 
 NOW = 100.0
@@ -140,11 +140,12 @@ def test_the_alarm_of_a_condition_is_its_row_in_words(row: Condition[Any]) -> No
     )
 
 
-def test_the_table_of_the_documentation_is_generated() -> None:
-    """After a change of a row: ``python -m docs.alarm_table``."""
-    text = DOCUMENT.read_text()
-    assert alarm_table() in text
-    assert with_table(text) == text
+@pytest.mark.parametrize("language", DOCUMENTS)
+def test_the_table_of_the_documentation_is_generated(language: str) -> None:
+    """After a change of a row or of its words: ``python -m docs.alarm_table``."""
+    text = DOCUMENTS[language].read_text(encoding="utf-8")
+    assert alarm_table(language) in text
+    assert with_table(text, language) == text
 
 
 @EVERY_ROW
