@@ -50,13 +50,26 @@ def test_every_link_of_a_chapter_leads_to_a_heading(
 
 
 @for_each("chapter", [chapter for chapter in CHAPTERS if chapter.languages])
-def test_a_translation_has_every_heading(handbook: Handbook, chapter: Chapter) -> None:
+def test_a_translation_has_every_heading_and_link(handbook: Handbook, chapter: Chapter) -> None:
     english = handbook.chapter(chapter, "en")
     for language in chapter.languages:
         translated = handbook.chapter(chapter, language)
         assert [each.anchor for each in translated.sections] == [each.anchor for each in english.sections]
         assert translated.title != english.title
         assert verbatim_of(translated) == verbatim_of(english)
+        assert sorted(hrefs(translated.html)) == sorted(hrefs(english.html))
+
+
+def cells_of(chapter: Rendered) -> list[list[str]]:
+    """Each row of four cells of the tables of a chapter."""
+    rows = re.findall(r"<tr>.*?</tr>", chapter.html, re.DOTALL)
+    return [cells for row in rows if len(cells := re.findall(r"<td>(.*?)</td>", row)) == 4]
+
+
+def test_the_german_glossary_has_the_terms_of_the_english_one(handbook: Handbook) -> None:
+    english, german = [cells_of(handbook.chapter(BY_NAME["glossary"], tag)) for tag in LANGUAGES]
+    in_english = [(term, on_screen, code) for _, code, on_screen, term in english if term]
+    assert in_english == [(term, on_screen, code) for term, _, on_screen, code in german]
 
 
 @for_each("place", sorted(HELP.values()))
@@ -88,7 +101,7 @@ async def test_the_list_says_which_chapters_are_in_english(house: House) -> None
     german, english = [
         (await client.get("/help", headers={"Accept-Language": tag})).text for tag in ("de", "en")
     ]
-    assert 'lang="en">Glossary</a> <small class="quiet">auf Englisch</small>' in german
+    assert 'lang="en">Metrics</a> <small class="quiet">auf Englisch</small>' in german
     assert ("Für Bediener</a></li>" in german, "in English" in english) == (True, False)
 
 
