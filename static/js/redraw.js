@@ -1,5 +1,6 @@
 // Parts of a page that the server draws are redrawn when the value that they depend on has changed.
 //   data-redraw="GROUP.FIELD" data-drawn-of="what it was when the part was drawn" hx-trigger="lineside:redraw"
+//   data-if-known   not while the value is empty: what was drawn stays until there is another
 // Where more than a part is made from it, the complete page is, once no review is open on it:
 //   data-reload="GROUP.FIELD" data-drawn-of="what it was when the page was drawn"
 import { listen, value } from "./bind.js";
@@ -17,7 +18,7 @@ function follow(part) {
   const end = listen(key.slice(0, dot), (fields) => {
     if (!part.isConnected) return end();
     const present = /** @type {string} */ (fields[field] ?? "");
-    if (part.dataset.drawnOf === present) return;
+    if (part.dataset.drawnOf === present || (!present && part.dataset.ifKnown !== undefined)) return;
     part.dataset.drawnOf = present;
     part.dispatchEvent(new CustomEvent("lineside:redraw"));
   });
@@ -29,7 +30,7 @@ function followPage(page) {
   const dot = key.indexOf(".");
   const look = () => {
     const present = value(key);
-    if (present === undefined || present === page.dataset.drawnOf) return;
+    if (present === undefined || present === page.dataset.drawnOf || (!present && page.dataset.ifKnown !== undefined)) return;
     if (!document.querySelector("dialog[open], [data-review-place] > *")) location.reload();
   };
   listen(key.slice(0, dot), look);

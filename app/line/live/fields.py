@@ -37,6 +37,7 @@ from bus.catalogue.parameters import (
     ANALOG_IN_LOW,
     AT_SPEED_WINDOW,
     DECIMALS,
+    FOLLOWER_MODE,
     MAX_DISPLAY,
     RATIO_SETPOINT,
 )
@@ -135,6 +136,7 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: T
     """Return the fields of one unit, by its reading."""
     state = unit.motion.state
     fields = {"link": link, "staged": _staged(unit, translator), "ratio": _ratio(bus, unit, translator)}
+    fields |= _scale(unit)
     reading = unit.reading
     if reading is None:
         return fields | _NEVER | {"state_text": translator.t(STATE_WORDS[""])}
@@ -278,6 +280,15 @@ def _staged(unit: UnitLive, translator: Translator) -> str:
     if unit.staged_unknown:
         return "?"
     return "" if unit.staged is None else translator.formats.fixed(unit.staged, setpoint_decimals(unit))
+
+
+def _scale(unit: UnitLive) -> Fields:
+    """Return what a setpoint is shown and bounded by, for the parts drawn with it; empty while unread."""
+    decimals, span = unit.parameter_raw(DECIMALS), unit.parameter_raw(MAX_DISPLAY)
+    mode = unit.parameter_raw(FOLLOWER_MODE)
+    own = "" if mode is None else "ratio" if follower(unit) else "speed"
+    is_read = own and decimals is not None and span
+    return {"scale": f"{decimals}:{span}:{own}" if is_read else "", "follower": own}
 
 
 def _ratio(bus: BusLive, unit: UnitLive, translator: Translator) -> str:

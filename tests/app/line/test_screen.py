@@ -55,6 +55,22 @@ def test_more_than_the_span_fills_the_bar_and_no_more() -> None:
     assert (shown["fill"], shown["mark"]) == ("1.0000", "1.0000")
 
 
+def test_what_a_setpoint_is_shown_in_is_a_field_that_its_steps_and_limits_follow() -> None:
+    live = line()
+    bus = live.buses["dry"]
+    seen = []
+    for number, raw in ((8, 0), (3, 2), (2, 1500), (8, 1)):
+        bus.apply([ParameterValue(unit=1, number=number, at=2.0, raw=raw)])
+        shown = unit_fields(bus, bus.units[1], "online", translator("en"))
+        seen.append((shown["scale"], shown["follower"]))
+    assert seen == [
+        ("1:2000:speed", "speed"),
+        ("2:2000:speed", "speed"),
+        ("2:1500:speed", "speed"),
+        ("2:1500:ratio", "ratio"),
+    ]
+
+
 def test_without_the_span_there_is_no_position() -> None:
     live = line()
     bus = live.buses["dry"]
