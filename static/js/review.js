@@ -85,9 +85,12 @@ function watchUnit(form, part) {
   const { of: unit, watch: key, was, name } = part.dataset;
   const group = unit ?? key?.slice(0, key.indexOf("."));
   if (!group) return;
+  const [field, place] = key?.split("@") ?? [];
   endings.push(
     listen(group, (fields) => {
-      const present = key ? value(key) : undefined;
+      const all = field ? value(field) : undefined;
+      const bit = place ? /** @type {string | undefined} */ (all)?.charAt(Number(place)) : "";
+      const present = place ? { 1: part.dataset.on, 0: part.dataset.off }[bit ?? ""] : all;
       const moved = present !== undefined && present !== was ? word("moved", present || "–") : "";
       const reason = (unit ? whyNot(fields) : "") || moved;
       if (reason) end(form, name ? `${name}: ${reason}` : reason);

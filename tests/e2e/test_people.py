@@ -182,7 +182,7 @@ SENDS: list[tuple[str, str, dict[str, Any]]] = [
     ("POST", "/units/line/1/nudge", {"data": {"step": "300", "id": "b" * 32}}),
     ("POST", "/setpoints/review", {"data": {"bus": "line", "new-1": "90.0"}}),
     ("POST", "/setpoints", {"data": {"bus": "line", "raw-1": "900", "id": "c" * 32}}),
-    ("POST", "/batch/line/write", {"data": {"number": "20", "unit-1": "90.0"}}),
+    ("POST", "/batch/line/write", {"data": {"number": "20", "unit-1": "90.0", "id": "e" * 32}}),
 ]
 ALSO_BLOCKED: list[tuple[str, str, dict[str, Any]]] = [
     ("POST", "/api/v1/buses/line/units/1/execute", {}),
@@ -190,7 +190,7 @@ ALSO_BLOCKED: list[tuple[str, str, dict[str, Any]]] = [
     ("PUT", "/api/v1/buses/line/units/1/analog-output", {"json": {"raw": 0}}),
     ("PUT", "/api/v1/buses/line/units/1/parameters/6", {"json": {"raw": 55}}),
     ("POST", "/units/line/1/parameters/6", {"data": {"raw": "55", "id": "d" * 32}}),
-    ("POST", "/batch/line/write", {"data": {"number": "6", "unit-1": "5.5"}}),
+    ("POST", "/batch/line/write", {"data": {"number": "6", "unit-1": "5.5", "id": "f" * 32}}),
 ]
 
 

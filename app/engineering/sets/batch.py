@@ -19,7 +19,7 @@ from app.engineering.sets.model import UnitRows, known_rows, status_of, with_uni
 from app.errors import Problem
 from app.line.commands.effects import OPERATING_VALUES, effect_message, warning_of
 from app.line.commands.limits import Limits
-from app.line.commands.page_context import BusPage, PageOfBus, new_id
+from app.line.commands.page_context import BusPage, Confirmed, PageOfBus
 from app.line.commands.pages.unit import CONFIRMING_WORD
 from app.line.commands.review import (
     OutcomeText,
@@ -260,11 +260,10 @@ async def batch_write(
     request: Request,
     person: ParameterWriter,
     page: PageOfBus,
-    id: Annotated[str, Form(max_length=40)] = "",
+    confirmed: Confirmed,
     word: Annotated[str, Form(alias="typed", max_length=20)] = "",
 ) -> Response:
-    """Write the values that the review showed; what was typed for a unit that was left out stays. ``id``: of
-    the form."""
+    """Write the values that the review showed; what was typed for a unit that was left out stays."""
     number, typed = await typed_batch(request)
     parameter = writable_or_404(number)
     rows = rows_of_batch(page.bus, number, typed)
@@ -273,12 +272,13 @@ async def batch_write(
             raise Problem(422, "invalid", Message("value_not_writable"))
         if parameter.dangerous and word.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
+        confirmed.refuse_lapsed()
         form = await request.form()
         refuse_moved(rows, _by_unit(form, "was-"))
     except Problem as problem:
         return page.not_sent(problem)
     confirm = bool(parameter.dangerous)
-    results = await write_batch(page.commands, person, number, rows, id or new_id(), confirm=confirm)
+    results = await write_batch(page.commands, person, number, rows, confirmed.id, confirm=confirm)
     proofs = [(each.row.name, each.row.shown, _outcome(page, each, parameter)) for each in results]
     tones = {outcome.tone for _, _, outcome in proofs}
     tone: Tone = "unknown" if "unknown" in tones else "bad" if "bad" in tones else "good"

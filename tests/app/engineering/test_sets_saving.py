@@ -15,9 +15,11 @@ from app.engineering.sets.batch import BatchRow, refuse_moved, rows_of_batch, wr
 from app.engineering.sets.saving import REPORT_AFTER, FirstWrites, SetReadings, SetSchedule, due_between
 from app.errors import ConstraintError, Problem, StoreError
 from app.line.commands.effects import NO_RAMP
+from app.line.commands.review import REVIEW_LASTS_S
 from app.line.live.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, UnitLink, UnitLinkState
+from bus.instants import unix_now
 from bus.messages import Message
 from tests.app.complete_app import House
 from tests.app.played_commands import ANNA, PlayedCommands, SetScene, a_bus, factory, responding
@@ -346,7 +348,7 @@ async def test_the_review_counts_only_the_units_that_take_the_value(
     assert ("unit-1" in review, "unit-2" in review) == (True, False)
     assert 'data-remark="obstacle_offline"' in review
     assert 'name="kept-2" value="30"' in review
-    form = {"number": "6", "unit-1": "20", "kept-2": "30"}
+    form = {"number": "6", "unit-1": "20", "kept-2": "30", "id": "a", "reviewed_at": str(unix_now())}
     done = (await client.post("/batch/dry-end/write", data=form, headers=origin)).text
     assert 'name="unit-2" value="30"' in done
     assert "left out" in done
@@ -356,7 +358,10 @@ async def test_a_dangerous_value_is_not_written_without_the_word(
     house: House, client: httpx.AsyncClient
 ) -> None:
     responding(house.services[LiveState])
-    form, origin = {"number": "27", "unit-1": "1"}, {"Origin": str(client.base_url)}
+    form = {"number": "27", "unit-1": "1", "id": "a", "reviewed_at": str(unix_now())}
+    origin = {"Origin": str(client.base_url)}
+    lapsed = form | {"typed": "WRITE", "reviewed_at": str(unix_now() - REVIEW_LASTS_S - 1)}
+    assert (await client.post("/batch/dry-end/write", data=lapsed, headers=origin)).status_code == 409
     refused = await client.post("/batch/dry-end/write", data=form, headers=origin)
     assert refused.status_code == 409
     sent = await client.post("/batch/dry-end/write", data=form | {"typed": "WRITE"}, headers=origin)
