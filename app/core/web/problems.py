@@ -103,7 +103,8 @@ def respond(request: HTTPConnection, problem: Problem) -> Response:
     if wants_json(request):
         return problem_json(problem, _detail(request, problem))
     template = "web/_problem.html" if is_fragment(request) else "web/problem.html"
-    left = _page_left(request) if request.scope.get("method") == "POST" else ""
+    # What a form is about and is gone, its page has lost as well.
+    left = _page_left(request) if request.scope.get("method") == "POST" and problem.status != 404 else ""
     return render(
         request, template, status=problem.status, headers=problem.headers, problem=problem, left=left
     )

@@ -145,6 +145,14 @@ async def test_a_refused_form_leads_back_to_its_page(house: House, left: str, li
     assert f'<a class="button" href="{link}">' in page.text
 
 
+async def test_a_form_about_something_gone_leads_to_the_line(house: House) -> None:
+    """Its page, of a restore that was planned before a restart, has the same answer."""
+    client = await house.signed_in(Role.ENGINEER)
+    headers = {"accept": "text/html", "referer": "http://server/restores/gone"}
+    page = await client.post("/restores/gone/start", headers=headers)
+    assert (page.status_code, '<a class="button" href="/">' in page.text) == (404, True)
+
+
 async def test_words_of_a_request_are_never_markup(house: House) -> None:
     client = await house.signed_in(Role.VIEWER)
     page = await client.get("/<img src=x>", headers={"accept": "text/html"})
