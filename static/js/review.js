@@ -1,7 +1,7 @@
 // A review, in a part of the page or in the dialog: focus rests on Cancel, Enter does not execute, it lapses after
 // 30 s, when the value has moved or the unit takes nothing from here any more, and nothing leaves while the server does
 // not respond. The result of one is a strip where the review names a place, with nothing to close.
-import { listen, rebind, value } from "./bind.js";
+import { fieldsOf, listen, rebind, value } from "./bind.js";
 import * as clock from "./clock.js";
 import { giveBack } from "./focus.js";
 import { isLive } from "./live.js";
@@ -82,20 +82,30 @@ function watch(form) {
 /** One unit: the form names it; several: a row each, with the name.
  * @param {HTMLElement} form @param {HTMLElement} part */
 function watchUnit(form, part) {
-  const { of: unit, watch: key, was, name } = part.dataset;
+  const { of: unit, watch: key } = part.dataset;
   const group = unit ?? key?.slice(0, key.indexOf("."));
   if (!group) return;
-  const [field, place] = key?.split("@") ?? [];
+  // A read-only bus takes a change to zero all the same.
+  const blocked = fieldsOf(group)?.blocked;
   endings.push(
     listen(group, (fields) => {
-      const all = field ? value(field) : undefined;
-      const bit = place ? /** @type {string | undefined} */ (all)?.charAt(Number(place)) : "";
-      const present = place ? { 1: part.dataset.on, 0: part.dataset.off }[bit ?? ""] : all;
-      const moved = present !== undefined && present !== was ? word("moved", present || "–") : "";
-      const reason = (unit ? whyNot(fields) : "") || moved;
-      if (reason) end(form, name ? `${name}: ${reason}` : reason);
+      const reason = whyOver(part, fields.blocked === blocked ? { ...fields, blocked: "" } : fields);
+      if (reason) end(form, reason);
     }),
   );
+}
+
+/** Why a review no longer holds for the unit that a part of it names; empty while it does. A row is watched only where
+ * its unit takes part.
+ * @param {HTMLElement} part @param {Fields} fields */
+export function whyOver({ dataset: { of: unit, watch: key, was, name, on, off } }, fields) {
+  const [field, place] = key?.split("@") ?? [];
+  const all = field ? value(field) : undefined;
+  const bit = place ? /** @type {string | undefined} */ (all)?.charAt(Number(place)) : "";
+  const present = place ? { 1: on, 0: off }[bit ?? ""] : all;
+  const moved = present !== undefined && present !== was ? word("moved", present || "–") : "";
+  const reason = (unit || name ? whyNot(fields) : "") || moved;
+  return name && reason ? `${name}: ${reason}` : reason;
 }
 
 /** Why a unit takes nothing from here any more; empty while it does. One that is late has not stopped responding.

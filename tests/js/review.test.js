@@ -3,9 +3,10 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { openPage } from "./page.js";
 
-openPage({ words: { stoppedResponding: "no response", leftRemote: "local", wasBlocked: "blocked: {n}" } });
+openPage({ words: { stoppedResponding: "no response", leftRemote: "local", wasBlocked: "blocked: {n}", moved: "now {n}" } });
 document.querySelector = () => null;
-const { whyNot } = await import("../../static/js/review.js");
+const { replace } = await import("../../static/js/bind.js");
+const { whyNot, whyOver } = await import("../../static/js/review.js");
 const UNIT = { link: "online", mode: "remote", blocked: "" };
 
 test("a unit whose response is late has not stopped responding", () => {
@@ -17,4 +18,21 @@ test("a unit whose response is late has not stopped responding", () => {
 test("a unit in LOCAL or blocked takes nothing", () => {
   assert.equal(whyNot({ ...UNIT, mode: "local" }), "local");
   assert.equal(whyNot({ ...UNIT, blocked: "belt off" }), "blocked: belt off");
+});
+
+test("a review of several ends once one of them takes nothing any more", () => {
+  const row = { dataset: { watch: "line/6.commanded", was: "120.2", name: "Nip" } };
+  replace({ "line/6": { ...UNIT, commanded: "120.2" } });
+  assert.equal(whyOver(row, UNIT), "");
+  assert.equal(whyOver(row, { ...UNIT, mode: "local" }), "Nip: local");
+  replace({ "line/6": { ...UNIT, commanded: "118.0" } });
+  assert.equal(whyOver(row, UNIT), "Nip: now 118.0");
+});
+
+test("a review of an output ends once another person has switched it", () => {
+  const form = { dataset: { of: "line/6", watch: "line/6.outputs@1", was: "off", on: "on", off: "off" } };
+  replace({ "line/6": { ...UNIT, outputs: "100000" } });
+  assert.equal(whyOver(form, UNIT), "");
+  replace({ "line/6": { ...UNIT, outputs: "010000" } });
+  assert.equal(whyOver(form, UNIT), "now on");
 });
