@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from bus.catalogue import parameters as numbers
-from bus.contract import ExecuteAll, Progress, Result, SetLine, SetSpeed, Staged
+from bus.contract import ExecuteAll, Progress, ReadParameters, Result, SetLine, SetSpeed, Staged
 from bus.simulator.line import FaultKind, WireEventKind
 from bus.simulator.unit import Mode
 from tests.bus.virtual_line import VirtualLine, played
@@ -153,6 +153,16 @@ async def test_a_value_staged_by_another_host_is_reported(line: VirtualLine) -> 
     assert result.outcome == "verified"
     assert "unit 4" in str(result.message)
     assert "321" in str(result.message)
+
+
+@played(4)
+async def test_a_follower_that_slows_with_its_master_is_no_stray(line: VirtualLine) -> None:
+    line.plant.unit(4).memory[numbers.FOLLOWER_MODE] = 1
+    await settled(line)
+    await line.perform(SetLine({1: 500, 2: 500, 3: 500}))
+    await line.perform(ReadParameters(4, [numbers.FOLLOWER_MODE]))
+    result = await line.perform(SetLine({1: 0, 2: 0, 3: 0}))
+    assert (result.outcome, result.message) == ("verified", None)
 
 
 @played(4)

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 
 from msgspec.structs import replace
 
-from bus.catalogue.values import status_bits
+from bus.catalogue.parameters import FOLLOWER_MODE
+from bus.catalogue.values import is_follower, status_bits
 from bus.contract import Outcome, UnitOutcome, UnitScale
 from bus.errors import unit_refused
 from bus.line.commands.procedure import (
@@ -301,7 +302,7 @@ def _verify_all(
     for member in members:
         if member.missed_broadcast:
             yield from _execute_singly(member, context)
-    strays = yield from _strays(roster, members)
+    strays = yield from _strays(roster, members, context)
     return _executed(members, broadcast, strays)
 
 
@@ -363,12 +364,15 @@ def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[Non
         member.outcome = replace(member.outcome, message=EXECUTED_SINGLY)
 
 
-def _strays(roster: Roster, members: list[Member]) -> Subprocedure[list[Message]]:
-    """Return remarks about the units outside the change that moved with it, staged by another host."""
+def _strays(roster: Roster, members: list[Member], context: CommandContext) -> Subprocedure[list[Message]]:
+    """Return remarks about the units outside the change that moved with it, staged by another host. A
+    follower whose commanded speed is a speed moves with its master."""
     inside = {member.unit for member in members}
     moved: list[Message] = []
     for record in map(roster.__getitem__, roster.configured):
         if record.unit in inside or record.link.link != "online" or record.commanded is None:
+            continue
+        if context.dialect.follower_speed == "speed" and is_follower(record.raw(FOLLOWER_MODE)):
             continue
         readback = yield from verify_unchanged(record, record.commanded)
         if readback.why is not None and readback.read_back is not None:
