@@ -160,7 +160,8 @@ function outcome() {
 function dismiss(detail = outcome()) {
   close();
   if (dialog.open) dialog.close();
-  if (detail === "good") taken(reviewed);
+  // Where a result that is not known took the place of the form, what was typed was sent.
+  if (detail === "good" || (detail === "unknown" && !reviewed?.isConnected)) taken(reviewed);
   reviewed = null;
   document.dispatchEvent(new CustomEvent("lineside:done", { detail }));
   content.replaceChildren();

@@ -414,6 +414,24 @@ def test_what_a_button_entered_is_kept_for_the_next_page_and_what_it_cleared_is_
     assert [field.input_value() for field in fields] == ["", ""]
 
 
+def test_a_parameter_sent_without_a_response_is_no_draft(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+    row = page.locator("#parameter-6")
+    row.locator("[name=value]").fill("8.0")
+    row.get_by_role("button", name="Write").click()
+    page.locator("[data-review-act]").wait_for()
+    try:
+        site.line.remote.do("fault", kind="dead", rate=1, unit=2)
+        page.locator("[data-review-act]").click()
+        expect(page.locator("#parameters-result [data-review-done=unknown]")).to_be_visible()
+        expect(row.locator("[data-draft]")).to_have_count(0)
+        page.reload()
+        expect(row.locator("[name=value]")).to_be_visible()
+        expect(row.locator("[data-draft]")).to_have_count(0)
+    finally:
+        site.line.remote.do("clear")
+
+
 def test_a_parameter_is_written_and_a_dangerous_one_wants_a_word(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
