@@ -238,12 +238,21 @@ def plan_zero(bus: BusLive, block: Callable[[int], Message | None], now: UnixTim
         if follower(unit):
             plan.followers += 1
         elif obstacle := obstacle_of(bus, unit, now, block=block(address)):
-            plan.left_out.append((name, obstacle))
+            plan.left_out.append((name, _left_running(bus, unit, obstacle, now)))
         else:
             plan.units[address] = name
             plan.risks += [(name, risk) for risk in risks_of(bus, unit, now, ramp)]
             plan.seconds = max(plan.seconds, (ramp.seconds if ramp else None) or 0.0)
     return plan
+
+
+def _left_running(bus: BusLive, unit: UnitLive, obstacle: Message, now: UnixTime) -> Message:
+    """Return why a unit is not set to zero, and that it keeps its speed where it runs."""
+    reading = unit.reading
+    if reading is None or not reading.actual or unit_link_now(bus, unit, now) != "online":
+        return obstacle
+    speed = in_measure(setpoint_message(reading.actual, unit), measure_of_setpoint(unit))
+    return Message.of("left_running", reason=obstacle, speed=speed)
 
 
 class DrawChange(NamedTuple):

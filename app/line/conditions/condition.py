@@ -17,8 +17,9 @@ from bus.contract import BusFigures, ParameterValue, Reading
 from bus.messages import TEXTS, Message
 from bus.settings import BusSettings, DrawBand, UnitSettings
 
-DrawState = Literal["in_band", "out_of_band", "unknown", "none"]
-"""``unknown``: a speed is not of the present; ``none``: there is no draw, or no band to judge it by."""
+DrawState = Literal["in_band", "out_of_band", "ramping", "unknown", "none"]
+"""``ramping``: it has a band, but a section ramps; ``unknown``: a speed is not of the present; ``none``:
+there is no draw, or no band to judge it by."""
 DRAW_DECIMALS = 1
 MAX_TENTHS = 99_999
 """The largest draw in tenths of a percent: a section beside one that crawls would have millions."""
@@ -49,15 +50,15 @@ NO_DRAW, UNKNOWN_DRAW = Draw("none"), Draw("unknown")
 
 def draw_between(before: SectionSpeed, section: SectionSpeed, band: DrawBand, *, judged: bool = True) -> Draw:
     """Return the draw of a section to the one before: none while either stands or their displays have
-    different quantities. ``judged`` False: a draw out of its band means nothing now, for example while a
-    section ramps."""
+    different quantities. ``judged`` False: a draw out of its band means nothing yet, because a section
+    ramps."""
     if before.quantity is None or before.quantity != section.quantity or 0 in (before.raw, section.raw):
         return NO_DRAW
     if before.raw is None or section.raw is None or before.decimals is None or section.decimals is None:
         return UNKNOWN_DRAW
     tenths = _tenths(before.raw * 10**section.decimals, section.raw * 10**before.decimals)
     if not (band and judged):
-        return Draw("none", tenths)
+        return Draw("ramping" if band else "none", tenths)
     low, high = band
     return Draw("in_band" if low <= percent_of(tenths) <= high else "out_of_band", tenths)
 

@@ -214,9 +214,10 @@ BY_VALUE: tuple[Condition[ValuePredicate], ...] = (
 DRAW_OUT_OF_BAND: Condition[DrawPredicate] = Condition(
     "draw_out_of_band",
     ("major", "minutes"),
-    holds=lambda draw: None if draw.state == "unknown" else draw.state == "out_of_band",
-    means="the actual speed of the unit is to that of the unit before it, while neither ramps or stands, in a"
-    " ratio outside the band that the site sets (`draw_percent`); without a band never",
+    holds=lambda draw: None if draw.state in ("unknown", "ramping") else draw.state == "out_of_band",
+    means="the actual speed of the unit is to that of the unit before it, while neither stands, in a ratio"
+    " outside the band that the site sets (`draw_percent`); while one ramps, the alarm stays as it is;"
+    " without a band never",
     tuning=Tuning(on_delay_s=5, off_delay_s=2),
     group="speed",
     tiles=("draw_out_of_band",),

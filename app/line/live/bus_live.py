@@ -410,9 +410,16 @@ class BusLive:
         unit.motion.note(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))
         holding = conditions_of(bits, reading)
         unit.draw = draw_of(self, unit, reading.at)
-        if DRAW_OUT_OF_BAND.holds(unit.draw):
+        if DRAW_OUT_OF_BAND.holds(unit.draw) or _keeps_draw(unit, reading.at):
             holding |= {DRAW_OUT_OF_BAND.code}
         unit.onsets.note(reading.at, holding, offline_after_s(scan_s))
+
+
+def _keeps_draw(unit: UnitLive, at: UnixTime) -> bool:
+    """Return whether a draw out of its band stays so while a section ramps, as its alarm does."""
+    onset = unit.onsets.since.get(DRAW_OUT_OF_BAND.code)
+    lasted = onset is not None and at - onset.at >= DRAW_OUT_OF_BAND.tuning.on_delay_s
+    return lasted and unit.draw.state == "ramping"
 
 
 def changed_by(bus: BusLive, updates: Sequence[Update]) -> tuple[list[int], bool]:

@@ -296,7 +296,8 @@ def _draw(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
     onset = unit.onsets.since.get(DRAW_OUT_OF_BAND.code)
     if onset is None or now - onset.at < DRAW_OUT_OF_BAND.tuning.on_delay_s:
         return None
-    if not DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now)):
+    draw = draw_of(bus, unit, now)
+    if not DRAW_OUT_OF_BAND.holds(draw) and draw.state != "ramping":
         return None
     return abnormal(DRAW_OUT_OF_BAND.code, onset)
 

@@ -163,7 +163,7 @@ def draw_fields(draw: Draw, translator: Translator, *, both_run: bool) -> Fields
     if draw.tenths is None or not both_run:
         unknown = draw.state == "unknown"
         return {"draw": UNKNOWN if unknown else "", "draw_state": "unknown" if unknown else "none"}
-    shown = "unjudged" if draw.state == "none" else draw.state
+    shown = "unjudged" if draw.state in ("none", "ramping") else draw.state
     return {"draw": draw_text(draw.tenths, translator), "draw_state": shown}
 
 

@@ -390,7 +390,7 @@ async def test_the_end_of_the_server_loses_no_transition_that_is_being_written(
     assert [entry.trigger for entry in await bus.store.journal(10, None)] == ["rise"]
 
 
-def test_a_draw_out_of_band_is_an_alarm_while_both_sections_respond_and_none_ramps(bus: AlarmBus) -> None:
+def test_a_draw_out_of_band_is_an_alarm_while_both_sections_respond_and_stays_on_ramps(bus: AlarmBus) -> None:
     def run(seconds: int, **second: int) -> None:
         """The first unit at 100.0, the second as given."""
         for _ in range(2 * seconds):
@@ -403,7 +403,11 @@ def test_a_draw_out_of_band_is_an_alarm_while_both_sections_respond_and_none_ram
     run(2, actual=1030)
     assert bus.present() == {"2.draw_out_of_band"}
     run(3, actual=1030, commanded=1100, outputs=REMOTE)
+    assert bus.state("2.draw_out_of_band") == "unack_active", "each step of a setpoint would call again"
+    run(3)
     assert bus.state("2.draw_out_of_band") == "rtn_unack"
+    run(4, actual=1030, commanded=1100, outputs=REMOTE)
+    assert bus.state("2.draw_out_of_band") == "rtn_unack", "nor does it come on a ramp"
     run(6, actual=1030)
     assert bus.state("2.draw_out_of_band") == "unack_active"
     bus.wait(3, 2, actual=1030)

@@ -15,6 +15,7 @@ from app.line.conditions.condition import (
     MAX_TENTHS,
     NO_DRAW,
     UNKNOWN_DRAW,
+    Draw,
     SectionSpeed,
     draw_between,
     percent_of,
@@ -51,7 +52,8 @@ def test_the_judged_draw_is_the_shown_one(
     draw = draw_between(before, section, band)
     assert draw.tenths is not None
     assert (draw.state == "in_band") == (band[0] <= percent_of(draw.tenths) <= band[1])
-    assert draw_between(before, section, band, judged=False) == draw_between(before, section, ())
+    assert draw_between(before, section, band, judged=False) == Draw("ramping", draw.tenths)
+    assert draw_between(before, section, ()) == Draw("none", draw.tenths)
 
 
 @given(speeds, speeds, bands)
@@ -163,6 +165,9 @@ def test_the_verdict_names_a_draw_once_it_lasts(seconds: float, level: str) -> N
     page.refresh(101.0 + seconds)
     assert page.flat()["line_summary.level"] == level
     assert ("Draw out of band since" in page.flat()["line_summary.verdict"]) == bool(level)
+    bus.apply([reading(2, 101.0 + seconds, 1300, 1143, outputs=0x40)])
+    page.refresh(101.0 + seconds)
+    assert page.flat()["line_summary.level"] == level, "as its alarm stays, while a section ramps"
 
 
 UNITS = tuple({"id": n, "name": f"Unit {n}"} for n in (1, 2, 3))

@@ -138,10 +138,10 @@ def test_each_that_cannot_take_it_has_its_reason() -> None:
     live.buses["dry"].apply([reading(1, outputs=AT_SPEED), reading(2, at=50.0)])
     plan = plan_zero(live.buses["dry"], lambda unit: "belt off" if unit == 3 else "", 100.0)
     assert list(plan.units) == [4]
-    assert [(name, reason.code) for name, reason in plan.left_out] == [
-        ("Unit 1", "obstacle_not_in_remote"),
-        ("Unit 2", "obstacle_offline"),
-        ("Unit 3", "obstacle_blocked"),
+    assert [(name, str(reason)) for name, reason in plan.left_out] == [
+        ("Unit 1", "not in REMOTE; it keeps running at 120.0 m/min"),
+        ("Unit 2", "does not respond"),
+        ("Unit 3", "commands blocked: belt off; it keeps running at 120.0 m/min"),
     ]
 
 

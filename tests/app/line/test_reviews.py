@@ -112,7 +112,7 @@ async def test_a_recipe_and_zero_name_units_left_out_too(house: House) -> None:
     assert remarks(await recipe(house, {1: 500})) == [("obstacle_not_in_remote", "Nip")]
     await house.services.buses["dry-end"][Safeguards].block(ANNA, 2, "belt off")
     response = await zero(house)
-    assert remarks(response) == [("obstacle_blocked", "Nip")]
+    assert remarks(response) == [("left_running", "Nip")]
     assert "belt off" in response.text
 
 

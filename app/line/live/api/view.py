@@ -115,7 +115,7 @@ class LineView:
             "staged_unknown": unit.staged_unknown,
             "staged": None if unit.staged is None else setpoint_text(unit, unit.staged),
             "draw": None if draw.tenths is None else _signed_text(draw.tenths, DRAW_DECIMALS),
-            "draw_state": draw.state,
+            "draw_state": "none" if draw.state == "ramping" else draw.state,
             "at_speed_window_raw": unit.parameter_raw(AT_SPEED_WINDOW),
         }
         return shown | (_NEVER_READ if unit.reading is None else _reading_json(bus, unit, unit.reading, now))
