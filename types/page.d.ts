@@ -120,6 +120,7 @@ interface DocumentEventMap {
   wheel: On<WheelEvent>;
   "lineside:changed": CustomEvent;
   "lineside:taken": CustomEvent<HTMLFormElement | null>;
+  "lineside:unknown": CustomEvent<HTMLFormElement | null>;
   "lineside:done": CustomEvent<string>;
   "lineside:found": CustomEvent;
   "lineside:idle": CustomEvent;

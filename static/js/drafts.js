@@ -4,7 +4,8 @@ import * as clock from "./clock.js";
 import { timeOfDay } from "./live.js";
 import { word } from "./words.js";
 
-/** @typedef {{ at: number, fields: Record<string, string> }} Draft */
+/** `isSent`: a command with these values was sent, and its result is not known.
+ * @typedef {{ at: number, fields: Record<string, string>, isSent?: boolean }} Draft */
 const STORED = "lineside-drafts";
 const SENT = "lineside-draft-sent";
 const KEPT_S = 8 * 3600;
@@ -98,7 +99,7 @@ function putBack(form) {
     if (field.dataset.follows !== undefined) field.dataset.touched = "";
   }
   // Where the page has a place for results, it moves nothing.
-  if (found.length) (form.querySelector(".setpoints__act > .change-report") ?? form).prepend(note(form, found, draft.at));
+  if (found.length) (form.querySelector(".setpoints__act > .change-report") ?? form).prepend(note(form, found, draft));
 }
 
 /** @type {WeakSet<HTMLFormElement>} */
@@ -113,8 +114,8 @@ function putBackNew() {
   }
 }
 
-/** @param {HTMLFormElement} form @param {HTMLInputElement[]} found @param {number} at */
-function note(form, found, at) {
+/** @param {HTMLFormElement} form @param {HTMLInputElement[]} found @param {Draft} draft */
+function note(form, found, { at, isSent }) {
   const before = found.map((field) => /** @type {const} */ ([field, untouched(field) ?? ""]));
   const line = document.createElement("p");
   line.className = "draft";
@@ -132,9 +133,16 @@ function note(form, found, at) {
     document.dispatchEvent(new CustomEvent("lineside:changed"));
   });
   const text = document.createElement("span");
-  text.textContent = word("draftOf", timeOfDay(at));
+  text.textContent = word(isSent ? "draftSent" : "draftOf", timeOfDay(at));
   line.append(text, button);
   return line;
+}
+
+/** @param {HTMLFormElement} form */
+function noteSent(form) {
+  const drafts = read();
+  const draft = drafts[keyOf(form)];
+  if (draft) write({ ...drafts, [keyOf(form)]: { ...draft, isSent: true } });
 }
 
 /** What a page sent as it was left: its draft ends, unless this page is the refusal. */
@@ -160,5 +168,6 @@ export function start() {
     if (!canKeep(form)) return;
     if (!form.hasAttribute("hx-post") && !event.defaultPrevented) sessionStorage.setItem(SENT, keyOf(form));
   });
+  document.addEventListener("lineside:unknown", ({ detail: form }) => form && canKeep(form) && noteSent(form));
   document.addEventListener("lineside:taken", ({ detail: form }) => form && canKeep(form) && forget(form));
 }

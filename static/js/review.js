@@ -162,6 +162,7 @@ function dismiss(detail = outcome()) {
   if (dialog.open) dialog.close();
   // Where a result that is not known took the place of the form, what was typed was sent.
   if (detail === "good" || (detail === "unknown" && !reviewed?.isConnected)) taken(reviewed);
+  else if (detail === "unknown") document.dispatchEvent(new CustomEvent("lineside:unknown", { detail: reviewed }));
   reviewed = null;
   document.dispatchEvent(new CustomEvent("lineside:done", { detail }));
   content.replaceChildren();

@@ -400,6 +400,8 @@ _READ_BACK = {"verified": "result_reads", "unverified": "result_reads_other"}
 def outcome_text(result: Result | UnitOutcome, shown: Callable[[int], str | Message] = str) -> OutcomeText:
     """Return words for the result of a command, or of a unit's part. ``shown``: words for a value."""
     tone, code = _OUTCOMES[result.outcome]
+    if result.message and result.message.code == "nothing_sent":
+        return OutcomeText("bad", result.message)
     if result.message and result.message.code == "scale_changed_since":
         return OutcomeText("unknown", result.message)
     if result.message and _explains(result):

@@ -243,6 +243,11 @@ def test_what_changes_no_draw_is_not_stated(setpoints: dict[int, int]) -> None:
         ),
         (Result(id="1", at=0, outcome="unverified", read_back=1198), "unknown", "reads 1198 instead"),
         (Result(id="1", at=0, outcome="unverified"), "unknown", "no response: the result is not known"),
+        (
+            Result(id="1", at=0, outcome="unverified", message=Message.of("nothing_sent", reason=term("no"))),
+            "bad",
+            "no; nothing was sent",
+        ),
         (Result(id="1", at=0, outcome="not_sent"), "bad", ("not sent: the bus was busy until the deadline")),
         (Result(id="1", at=0, outcome="bus_closed"), "bad", "not sent: there is no link to the bus"),
         (Result(id="1", at=0, outcome="invalid", message=term("no")), "bad", "no"),
