@@ -29,8 +29,8 @@ DIGITS = 3
 RISEN = "FROM alarm_journal j WHERE trigger = 'rise' AND at >= ? AND at < ?"
 """SQL that selects the alarms that came in a span."""
 LATE_S, PRESENT_S = 3600.0, 30.0
-"""The time after the end of a shift within which its readings may come; until then its figures are read again
-every half minute."""
+"""The time after the end of a shift within which its readings may come; until then the list of shifts reads
+its figures again every half minute, and its sheet each time."""
 REMEMBERED = 100
 """The shifts whose figures are remembered."""
 log = structlog.get_logger()
@@ -142,7 +142,7 @@ class SpanFigures:
 
     async def shift(self, shift: Shift) -> LineFigures:
         """Return the figures of a shift, up to now if it is under way. Raise StoreError."""
-        found = self._known(shift)
+        found = self._known(shift, within_s=0.0)
         if found is None:
             now = self._clock()
             units = await self.units(shift, EVERYTHING, now)
@@ -175,7 +175,8 @@ class SpanFigures:
                 del self._wanted[shift]
             self._is_wanted.clear()
 
-    def _known(self, shift: Shift) -> LineFigures | None:
+    def _known(self, shift: Shift, within_s: float = PRESENT_S) -> LineFigures | None:
+        """Return the remembered figures of a shift that is over, or that were read ``within_s`` ago."""
         read_at, figures = self._remembered.get(shift, (UnixTime(0.0), None))
-        is_current = read_at > shift.end + LATE_S or self._clock() - read_at < PRESENT_S
+        is_current = read_at > shift.end + LATE_S or self._clock() - read_at < within_s
         return figures if is_current else None

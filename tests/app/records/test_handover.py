@@ -63,6 +63,15 @@ async def sheet(client: httpx.AsyncClient) -> dict[str, Any]:
     return found
 
 
+async def test_the_figures_of_a_sheet_are_as_new_as_the_sheet(house: House) -> None:
+    viewer = await house.program(Role.VIEWER)
+    counted = (await sheet(viewer))["line"]["alarms"]
+    rise = (time.time(), "a", 1, "estop_active", "", BUS, 1, "urgent", "rise", "", "unack_active", "", "")
+    add = f"INSERT INTO alarm_journal VALUES (NULL, {', '.join('?' * len(rise))})"
+    await house.services[Database].write(lambda store: store.execute(add, rise))
+    assert (await sheet(viewer))["line"]["alarms"] == counted + 1
+
+
 async def write(client: httpx.AsyncClient, text: str, key: str = "", **more: Any) -> httpx.Response:
     headers = {"Idempotency-Key": key} if key else {}
     body = {"text": text, **more}
