@@ -18,3 +18,13 @@ export function refill(of, content, otherwise) {
   const same = [...of.querySelectorAll("button")].find(({ dataset }) => dataset.key === key);
   (same ?? otherwise?.())?.focus();
 }
+
+/** Bring words into the window that something hides or that are outside it. Words that are seen move nothing: who presses
+ * again presses the same.
+ * @param {Element | null | undefined} words */
+export function reveal(words) {
+  if (!words) return;
+  const { left, top, bottom } = (words.firstElementChild ?? words).getBoundingClientRect();
+  const isSeen = [top, bottom].every((y, end) => words.contains(document.elementFromPoint(left + 2, end ? y - 2 : y + 2)));
+  if (!isSeen) words.scrollIntoView({ block: "nearest" });
+}

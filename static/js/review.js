@@ -3,6 +3,7 @@
 // not respond. The result of one is a strip where the review names a place, with nothing to close.
 import { fieldsOf, listen, rebind, value } from "./bind.js";
 import * as clock from "./clock.js";
+import { reveal } from "./element.js";
 import { giveBack } from "./focus.js";
 import { isLive } from "./live.js";
 import { word } from "./words.js";
@@ -238,7 +239,7 @@ function explain(strip, reason) {
   // A part of a table is no place for words; its status is.
   const place = strip?.matches("[role=status]") ? strip : strip?.querySelector("[role=status]");
   place?.replaceChildren(words);
-  place?.scrollIntoView({ block: "nearest" });
+  reveal(place);
 }
 
 /** End the review when the connection is lost, and state that where it was, in the dialog once the server is back: nothing
@@ -352,7 +353,7 @@ export function start() {
     // A message beside a field may be outside the window: on a phone the button is a pad below it. Scroll only for
     // the person who clicked; what sticks to the foot of the window is always in it.
     const wrong = target.closest("form")?.querySelector("td > [aria-invalid]")?.closest("tr");
-    if (!target.closest(".tray, .parameters-report")) (wrong ?? target).scrollIntoView({ block: "nearest" });
+    if (!target.closest(".tray, .parameters-report")) reveal(wrong ?? target);
   });
   document.addEventListener("htmx:error", (event) => {
     const form = content.querySelector("[data-pending]");

@@ -113,6 +113,20 @@ def test_nothing_on_a_unit_moves_for_a_command_its_result_its_undo_or_an_alarm(
     no_shift(page, "a unit that does not respond")
 
 
+def test_a_phone_is_not_scrolled_under_the_thumb_by_the_result_of_a_nudge(shared_page: OpensPages) -> None:
+    page = opened(shared_page("engineer", viewport=PHONE, locale=GERMAN), f"/units/line/{UNIT}")
+    page.locator(".plate__dock a").click()
+    up = page.locator(".nudges button >> nth=1")
+    place = up.bounding_box()
+    for nudge in (up, page.locator(".nudges button >> nth=2")):
+        nudge.click()
+        expect(page.locator("#setpoint-error [data-review-done=good]")).to_be_in_viewport(
+            ratio=1, timeout=UNIT_MS
+        )
+        assert up.bounding_box() == place
+        page.evaluate("() => document.getElementById('setpoint-error').replaceChildren()")
+
+
 def stage(site: Site, by: float) -> dict[int, str]:
     """Stage a speed in three units; what each is commanded now."""
     was = {unit: site.unit(unit)["commanded"] for unit in (1, 2, 3)}
