@@ -127,8 +127,10 @@ class Alarm:
 
     @property
     def is_unknown(self) -> bool:
-        """Whether the alarm was active and may have ended since, as its condition is not observed."""
-        return self.facts.active and self.facts.unknown_since is not None
+        """Whether the alarm was active and may have ended since, as its condition is not observed. What
+        suppresses it, as a closed port does, may be why; one that a person hid is left out."""
+        facts = self.facts
+        return facts.active and facts.unknown_since is not None and not facts.is_hidden_by_person
 
     @property
     def state_text(self) -> Message:

@@ -257,13 +257,8 @@ class LineAlarms:
         return [alarm for alarm in self._present.values() if alarm.is_annunciated]
 
     def unknown(self) -> list[Alarm]:
-        """Return the alarms that were active and may have ended since, as nobody reads their unit. What
-        suppresses an alarm, as a closed port does, may be why; one that a person hid is left out."""
-        return [
-            alarm
-            for alarm in self._present.values()
-            if alarm.is_unknown and not alarm.facts.is_hidden_by_person
-        ]
+        """Return the alarms that were active and may have ended since, as nobody reads their unit."""
+        return [alarm for alarm in self._present.values() if alarm.is_unknown]
 
     def tick(self) -> None:
         """Observe what time alone has changed, on every bus."""
@@ -276,13 +271,13 @@ class LineAlarms:
         return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 
     def unit_alarms(self, bus: str, unit: int) -> list[Alarm]:
-        """Return the annunciated alarms of a unit, by :func:`rank`."""
-        of_unit = self._by_unit.get((bus, unit), {})
-        return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
+        """Return the annunciated and the unknown alarms of a unit, by :func:`rank`."""
+        of_unit = self._by_unit.get((bus, unit), {}).values()
+        return sorted((alarm for alarm in of_unit if alarm.is_annunciated or alarm.is_unknown), key=rank)
 
     def count_active(self, bus: str, unit: int) -> int:
         """Return the number of active annunciated alarms of a unit, as published to the plant's systems."""
-        return sum(alarm.facts.active for alarm in self.unit_alarms(bus, unit))
+        return sum(alarm.facts.active and alarm.is_annunciated for alarm in self.unit_alarms(bus, unit))
 
     def place(self, bus: str | None, unit: int | None) -> str:
         """Return the name of a bus, or of a unit as the pages of the site show it; empty for the site. Bus
@@ -367,10 +362,10 @@ def _not_in_state(alarm: Alarm) -> Problem:
 
 def rank(alarm: Alarm) -> tuple[bool, bool, int, float]:
     """Return the place of an alarm in every list: active before cleared, then by priority, the newest first;
-    hidden alarms last. An acknowledgement moves no alarm."""
+    hidden alarms last. An unknown one may still be active. An acknowledgement moves no alarm."""
     facts = alarm.facts
     return (
-        facts.is_hidden,
+        facts.is_hidden and not alarm.is_unknown,
         not facts.active,
         PRIORITIES.index(alarm.definition.priority),
         -float(facts.came or UnixTime(0.0)),

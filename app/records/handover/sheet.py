@@ -43,7 +43,8 @@ SELECT {_ENTRY}, (
     ORDER BY r.id DESC LIMIT 1
 ) AS came FROM alarm_facts known JOIN alarm_journal j ON j.id = (
     SELECT id FROM alarm_journal WHERE alarm = known.alarm AND at < ? ORDER BY id DESC LIMIT 1
-) WHERE j.after <> 'normal' ORDER BY COALESCE(came, j.at), j.id
+) WHERE j.after <> 'normal'
+ORDER BY j.after NOT IN ('unack_active', 'ack_active'), COALESCE(came, j.at), j.id
 """
 _LAST_OF_EACH = """
 SELECT max(id) FROM events WHERE about IS NULL AND kind = ? AND time < ? GROUP BY bus, unit ORDER BY 1
@@ -144,7 +145,7 @@ def alarm_json(alarm: AlarmThen) -> ShiftAlarm:
 
 
 def alarms_at(connection: StoreConnection, at: UnixTime) -> list[AlarmThen]:
-    """Return the last transition before a moment of each alarm that was not normal then."""
+    """Return the last transition before a moment of each alarm that was not normal then, active first."""
     return [AlarmThen(*row) for row in connection.execute(_LAST_TRANSITIONS, (at,))]
 
 

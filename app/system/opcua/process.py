@@ -188,7 +188,13 @@ class OpcuaProcess:
         return found
 
     def _standing(self, bus: str, units: Iterable[int]) -> UnitAlarms:
-        return UnitAlarms(bus, {unit: list(map(_standing, self._alarms_of(bus, unit))) for unit in units})
+        return UnitAlarms(
+            bus,
+            {
+                unit: [_standing(alarm) for alarm in self._alarms_of(bus, unit) if alarm.is_annunciated]
+                for unit in units
+            },
+        )
 
     def _send(self, process: Process, message: ToProcess) -> None:
         """Write a message to the process without waiting. Raise ProcessError if the process does not read."""

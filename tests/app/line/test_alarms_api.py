@@ -24,7 +24,7 @@ from app.line.live.browser import Browser
 from app.line.live.bus_live import LiveState
 from app.line.live.hub import Hub
 from app.people.audit.log import EventLog
-from bus.contract import Reading
+from bus.contract import BusLink, Reading
 from bus.instants import unix_now
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
@@ -505,6 +505,21 @@ async def test_an_unknown_condition_is_not_shown_as_active(house: House) -> None
     assert banner.banner(translator())["active"] == "1 alarm unknown"
     remote_off(house, unit=2)
     assert banner.banner(translator())["active"] == "1 active, 1 unknown"
+
+
+async def test_an_alarm_unknown_since_its_port_closed_stays_on_its_unit_and_before_cleared_ones(
+    house: House,
+) -> None:
+    engineer = await house.signed_in(Role.ENGINEER)
+    estop(house.services, unit=2, active=True)
+    estop(house.services, unit=2, active=False)
+    remote_off(house, unit=1)
+    house.services[LiveState].buses[BUS].apply([BusLink(at=time.time(), link="closed")])
+    house.services[LineAlarms].tick()
+    fields = AlarmBanner(house.services[LineAlarms]).unit_fields(BUS, 1, translator(), unix_now())
+    assert (fields["alarm_text"], fields["alarm_state"][:13]) == ("Not in REMOTE", "unknown since")
+    text = await page(engineer, "/alarms")
+    assert text.index(">Not in REMOTE</a>") < text.index(">Emergency stop</a>")
 
 
 async def test_a_beat_of_the_pages_learns_that_nobody_reads_a_unit_any_more(house: House) -> None:

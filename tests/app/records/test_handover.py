@@ -115,6 +115,19 @@ async def test_the_sheet_is_made_from_the_store(house: House) -> None:
     assert {each["code"] for each in found["omissions"]} >= {"shift_omits_drift", "shift_omits_control"}
 
 
+async def test_active_alarms_come_before_cleared_ones_and_their_number_has_a_noun(house: House) -> None:
+    operator, bus = await house.signed_in(Role.OPERATOR), house.services[LiveState].buses[BUS]
+    bus.apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
+    bus.apply([Reading(1, time.time(), 0, 0, 0, REMOTE, HEALTHY)])
+    bus.apply([Reading(2, time.time(), 0, 0, 0, REMOTE, 0)])
+    await house.services[LineAlarms].write()
+    standing = [each for each in (await sheet(operator))["standing"] if each["unit"]]
+    assert [(each["unit"], each["after"]) for each in standing] == [(2, "unack_active"), (1, "rtn_unack")]
+    assert "Alarms active or to acknowledge: <span" in " ".join(
+        (await operator.get(f"/shifts/{await present(operator)}")).text.split()
+    )
+
+
 async def test_alarms_that_another_one_hides_are_in_a_section_and_a_note_may_name_them(house: House) -> None:
     operator, live = await house.signed_in(Role.OPERATOR), house.services[LiveState].buses[BUS]
     live.apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
