@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from typing import Annotated, Any, NamedTuple, get_args
+from typing import Annotated, Any, NamedTuple, cast, get_args
 
 from fastapi import APIRouter, Form, Query
 from pydantic import BaseModel, Field
@@ -70,6 +70,16 @@ _LABELS = {
     "off_delay_s": "Off-delay, s",
 }
 """The label of the field for a key of ``[[alarm]]``."""
+_FIELD_OF = {
+    "setting_alarm_of_bit": ("state", "own_alarm_of_bit"),
+    "setting_alarm_of_number": ("state", "own_alarm_of_number"),
+    "setting_alarm_one_state": ("state", "own_alarm_one_state"),
+    "setting_alarm_one_limit": ("above", "own_alarm_one_limit"),
+    "setting_alarm_deadband_of_rate": ("deadband", "own_alarm_deadband_of_rate"),
+    "setting_alarm_deadband_wide": ("deadband", "own_alarm_deadband_wide"),
+    "setting_alarm_limits_reversed": ("below", "own_alarm_limits_reversed"),
+}
+"""The field that a person corrects for a fault of several keys, and the text with the names of the fields."""
 UNNAMED = term("New alarm")
 """The name of an alarm that is simulated before it has one."""
 _WITHOUT_FIELD = {"realarm_s", "latch"}
@@ -181,30 +191,40 @@ def _page(
     found: AlarmSimulation | None = None,
 ) -> Response:
     own, alarms = service_of(request, OwnAlarmBook), service_of(request, LineAlarms)
+    places = [place for place in alarms.places() if "/" in place[0]]
+    faults = _by_field(fault, written)
     return render(
         request,
         "alarms/own.html",
         configured=[(each, alarms.place(each.bus, each.unit), added) for each, added in own.every()],
         left_aside=list(own.left_aside.values()),
-        places=[place for place in alarms.places() if "/" in place[0]],
-        values=_values(request, written["place"]),
+        places=places,
+        values=_values(request, written["place"] or (places[0][0] if places else "")),
         values_of={place: _values(request, place) for place in _places_of(own)},
         spans=SPANS,
         written=written,
-        fault=None if fault is None else _on_page(fault.message),
+        faults=faults,
+        fault=None if fault is None or faults else fault.message,
         found=found,
         status=200 if fault is None else fault.status,
     )
 
 
-def _on_page(fault: Message) -> Message:
-    """Return a fault with the name that its field has on the page."""
-    several = fault.params.get("messages")
-    if isinstance(several, list):
-        named = [_on_page(each) if isinstance(each, Message) else each for each in several]
-        return Message.of(fault.code, messages=named)
-    label = _LABELS.get(str(fault.params.get("key")))
-    return fault if label is None else Message(fault.code, {**fault.params, "key": term(label)})
+def _by_field(fault: Problem | None, written: Mapping[str, str]) -> dict[str, Message]:
+    """Return what is wrong with which field, as the page names it and as its value was typed; empty if a part
+    of the fault is of no field."""
+    if fault is None:
+        return {}
+    found: dict[str, Message] = {}
+    for each in cast(list[Message], fault.message.params.get("messages", [fault.message])):
+        if (key := str(each.params.get("key"))) in _LABELS:
+            found[key] = Message(each.code, {**each.params, "key": term(_LABELS[key]), "value": written[key]})
+        elif each.code in _FIELD_OF:
+            key, code = _FIELD_OF[each.code]
+            found[key] = Message(code)
+        else:
+            return {}
+    return found
 
 
 def _written(form: WrittenAlarm) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -270,9 +271,25 @@ async def test_the_values_of_the_form_have_the_labels_of_the_chosen_unit(house: 
 async def test_the_page_states_why_an_alarm_is_refused(house: House) -> None:
     engineer = await house.signed_in(Role.ENGINEER)
     refused = await engineer.post("/alarms/own", data=FORM | {"on_delay_s": "-1"})
-    assert (refused.status_code, "On-delay, s = -1.0" in refused.text) == (422, True)
+    assert (refused.status_code, "On-delay, s = -1:" in refused.text) == (422, True)
     assert (await engineer.post("/alarms/own", data=FORM | {"name": " "})).status_code == 422
     assert not house.services[OwnAlarmBook].added
+
+
+async def test_a_refusal_names_the_fields_of_the_page_and_what_was_typed_and_marks_the_field(
+    house: House,
+) -> None:
+    engineer = await house.signed_in(Role.ENGINEER)
+    typed = (await engineer.get("/alarms/own", params=FORM | {"above": "119,x"})).text
+    nothing = (await engineer.get("/alarms/own", params=FORM | {"above": ""})).text
+    assert "Above = 119,x: it must be a finite number" in typed
+    assert "fill in one condition: Above, Below or both, or Change per second" in nothing
+    for text in (typed, nothing):
+        field = re.search(r'<input[^>]*name="above"[^>]*>', text)
+        assert field is not None
+        for mark in ('aria-invalid="true"', 'aria-describedby="fault-above"', "autofocus"):
+            assert mark in field[0]
+        assert 'id="simulation"' not in text, "which an address would have the focus go to"
 
 
 ACTS = st.lists(
