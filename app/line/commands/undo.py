@@ -173,10 +173,16 @@ class UndoStack:
         """Return the command with this id, if a review of its undo that is confirmed now began in time."""
         return self.find(sender, id, now - REVIEW_LASTS_S)
 
-    def newest(self, sender: str, now: Monotonic, units: Set[int]) -> SentCommand | None:
-        """Return the newest command to these units, and to no other, that can be undone now."""
-        undoable = self._undoable(sender, now)
-        return next((each for each in undoable if all(place.unit in units for place in each.new)), None)
+    def newest(
+        self, sender: str, now: Monotonic, units: Set[int], kind: PlaceKind | None = None
+    ) -> SentCommand | None:
+        """Return the newest command to these units, and to no other, that can be undone now. ``kind``: of its
+        values, if only such are wanted."""
+
+        def is_wanted(place: ValuePlace) -> bool:
+            return place.unit in units and kind in (None, place.kind)
+
+        return next((each for each in self._undoable(sender, now) if all(map(is_wanted, each.new))), None)
 
     def _undoable(self, sender: str, now: Monotonic) -> Iterator[SentCommand]:
         newer: set[ValuePlace] = set()
@@ -282,11 +288,14 @@ class Undoing:
         """Return the undo of this person's command; None if it cannot be undone now."""
         return self._offered(self._stack.find(person.sender, id, self._clock()))
 
-    def newest(self, person: Person, units: Set[int], *, names_unit: bool = False) -> UndoOffer | None:
+    def newest(
+        self, person: Person, units: Set[int], kind: PlaceKind | None = None, *, names_unit: bool = False
+    ) -> UndoOffer | None:
         """Return the undo of this person's newest command to these units, and to no other, if it can be
-        undone now: the page of a unit offers no undo of a change of several. ``names_unit``: for a page of
-        several units."""
-        return self._offered(self._stack.newest(person.sender, self._clock(), units), names_unit=names_unit)
+        undone now: the page of a unit offers no undo of a change of several. ``kind``: of its values, if only
+        such are wanted; ``names_unit``: for a page of several units."""
+        found = self._stack.newest(person.sender, self._clock(), units, kind)
+        return self._offered(found, names_unit=names_unit)
 
     def clear(self, person: Person) -> None:
         """Forget all commands of this person, so that none can be undone: the line is set to zero."""

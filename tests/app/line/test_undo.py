@@ -193,6 +193,8 @@ async def test_on_a_page_of_several_units_undo_names_its_unit(site: House, obeyi
         assert named is not None
         assert bus.units[1].settings.name in str(named.text)
         assert str(named.text) != str(offer.text)
+    found = site.commands.undo.newest(ANNA, {1}, "setpoint")
+    assert found is None or found.sets_speed, "the place of a setpoint offers no undo of an output"
 
 
 SPEED_1, SPEED_2, OUTPUT = ValuePlace("setpoint", 1), ValuePlace("setpoint", 2), ValuePlace("output", 1, 3)

@@ -24,7 +24,7 @@ from app.line.commands.pages.unit import review_analog_value, review_switch, rev
 from app.line.commands.review import outcome_text
 from app.line.commands.safeguards import END_READ_ONLY, FORCE_CONTROL, SET_READ_ONLY, TAKE_CONTROL
 from app.line.commands.service import END_SCAN, permitted
-from app.line.commands.undo import UndoOffer
+from app.line.commands.undo import PlaceKind, UndoOffer
 from app.line.live.diagnosis import connection_cause
 from app.line.live.hub import Hub
 from bus.contract import (
@@ -236,12 +236,14 @@ def others(page: BusPage) -> list[str]:
 
 
 @router.get("/bus/{bus}/undo")
-async def newest_undo(person: Viewer, page: PageOfBus, unit: int | None = None) -> Response:
-    """Offer the undo of the newest command to ``unit`` or, without one, to the bus; nothing if there is
-    none."""
+async def newest_undo(
+    person: Viewer, page: PageOfBus, unit: int | None = None, kind: PlaceKind | None = None
+) -> Response:
+    """Offer the undo of the newest command to ``unit``, of a ``kind`` if it is given, or without a unit to
+    the bus; nothing if there is none."""
     units = page.bus.units.keys() if unit is None else {unit}
-    offer = page.commands.undo.newest(person, units, names_unit=unit is None)
-    return page.render("components/_undo.html", undo=offer)
+    offer = page.commands.undo.newest(person, units, kind, names_unit=unit is None)
+    return page.render("components/_undo.html", undo=offer, kind=kind)
 
 
 @router.get("/bus/{bus}/undo/{id}")
