@@ -11,11 +11,15 @@ const [NAME, HAIR, LEAST_NAME] = [17, 12, 53];
 /** How much of the height of its lane a bit takes. */
 export const LANE_FILL = 0.7;
 const PRIORITIES = ["urgent", "high", "medium", "low"];
-/** More alarms of one priority at a time share its last row. */
+/** More alarms of one priority at a time share its last row, and all have no more rows than leave the curves of a phone their height. */
 const ROWS_OF_PRIORITY = 2;
+/** @param {number} chart */
+const mostRows = (chart) => (chart < 400 ? 4 : 8);
 /** Pixels of a letter of the names of alarms, of what keeps them off a mark, and how many letters of a place are enough where there
  * is no room for all. */
 const [LETTER, OFF, LEAST_LETTERS] = [7, 15, 2];
+/** Which of the places of a name is on the line of its alarm. */
+const ON_LINE = 2;
 /** Percent from one mark of a row to the next that is drawn: nearer ones would hide each other. */
 const LEAST_APART = 3;
 
@@ -26,9 +30,10 @@ const percentIn = ([from, to]) => /** @param {number} t */ (t) => (100 * (Math.m
 const meet = (one, other) => one[0] < other[1] && other[0] < one[1];
 
 /** Where each alarm of a span begins and ends, and whose it is: `row` counts from the top, the most important priority first, and
- * a second row of a priority has what has no room in the first. `named` is where its name stands, after its line or before it and
- * over no other; null where only its mark has room, whose name is in the list. A later alarm has room before an earlier one, and
- * the same alarm again has that of its former name. That of a lower row is drawn over the area of a finger of the one above.
+ * a second row of a priority has what has no room in the first. `named` is where its name stands, after its line, before it or on
+ * it, and over no other; null where only its mark has room, whose name is in the list. An active alarm has room before a cleared
+ * one and a later before an earlier one, and the same alarm again has that of its former name. That of a lower row is drawn over
+ * the area of a finger of the one above.
  * @param {Alarm[]} alarms @param {Span} span @param {{ chart: number, beside: number }} room in pixels @returns {PlacedAlarm[]} */
 export function placed(alarms, [from, to], { chart, beside }) {
   const percent = percentIn([from, to]);
@@ -37,23 +42,28 @@ export function placed(alarms, [from, to], { chart, beside }) {
   const width = (letters, marks) => (100 * (letters * LETTER + marks * OFF)) / chart;
   const shown = alarms.map((alarm, index) => ({ ...alarm, index })).filter(({ t, until }) => t < to && (until ?? to) > from);
   let first = 0;
+  let spare = mostRows(chart) - new Set(shown.map(({ priority }) => priority)).size;
   return PRIORITIES.flatMap((priority) => {
     /** @type {PlacedAlarm[][]} */
     const rows = [];
-    const of = shown.filter((alarm) => alarm.priority === priority).sort((one, other) => one.t - other.t);
+    const most = Math.min(ROWS_OF_PRIORITY, 1 + spare);
+    const of = shown
+      .filter((alarm) => alarm.priority === priority)
+      .sort((one, other) => Number(one.until !== null) - Number(other.until !== null) || one.t - other.t);
     for (const alarm of of) {
       const label = [alarm.place, alarm.name].filter(Boolean).join(" · ");
       const [x, end] = [percent(alarm.t), percent(alarm.until ?? to)];
       const least = label.length - Math.max(0, label.lastIndexOf(" · ") - LEAST_LETTERS);
       const names = [label.length, least]
-        .flatMap((letters) => /** @type {Span[]} */ ([[end, end + width(letters, 2)], [x - width(letters, 1), x]]))
-        .filter(([a, b]) => a >= 0 && b <= right);
-      const numbers = [...rows.keys(), rows.length].slice(0, ROWS_OF_PRIORITY);
+        .flatMap((letters) => /** @type {Span[]} */ ([[end, end + width(letters, 2)], [x - width(letters, 1), x], [x, x + width(letters, 2)]]))
+        .filter(([a, b], place) => a >= 0 && b <= (place % 3 === ON_LINE ? end : right));
+      const numbers = [...rows.keys(), rows.length].slice(0, most);
       const spots = numbers.flatMap((number) => names.map((name) => ({ number, name })));
       /** @param {number} number @param {Span} span @param {boolean} overNames */
       const isFree = (number, span, overNames) =>
         (rows[number] ?? []).every((other) => {
-          const isInName = !overNames && other.named !== null && other.label !== label && meet(span, other.named);
+          const keeps = !overNames || other.until === null;
+          const isInName = keeps && other.named !== null && other.label !== label && meet(span, other.named);
           return !isInName && !meet(span, [other.x, other.end]);
         });
       /** @param {boolean} overNames */
@@ -70,6 +80,7 @@ export function placed(alarms, [from, to], { chart, beside }) {
     }
     for (const row of rows) for (const mark of row) if (mark.named) mark.named = grown(mark, row, width(mark.label.length + 2, 2), right);
     first += rows.length;
+    spare -= Math.max(0, rows.length - 1);
     return rows.flat();
   }).sort((a, b) => a.row - b.row || a.x - b.x);
 }
@@ -80,6 +91,7 @@ function grown({ x, end, named }, row, whole, right) {
   const [a, b] = /** @type {Span} */ (named);
   const others = row.filter((other) => other.named !== named).flatMap((other) => [[other.x, other.end], ...(other.named ? [other.named] : [])]);
   if (a < x) return [Math.max(b - whole, 0, ...others.map(([, last]) => last).filter((last) => last <= a)), b];
+  if (a === x && a < end) return [a, Math.min(a + whole, end)];
   return [end, Math.min(a + whole, right, ...others.map(([start]) => start).filter((start) => start >= b))];
 }
 
@@ -169,8 +181,9 @@ function lanes(trends) {
         drawn = { row, x };
       }
       if (!named) return [mark];
-      const [side, at] = named[0] < x ? ["right", 100 - x] : ["left", end];
-      return [part("trends__who", { [side]: at, top: top(row), "max-width": named[1] - named[0], [`padding-${side}`]: `${OFF}px` }, ...givingWay(label)), mark];
+      const [side, at] = named[0] < x ? ["right", 100 - x] : ["left", named[0]];
+      const who = part("trends__who", { [side]: at, top: top(row), "max-width": named[1] - named[0], [`padding-${side}`]: `${OFF}px` }, ...givingWay(label));
+      return named[0] === x && x < end ? [mark, who] : [who, mark];
     }),
     ...notes.flatMap(({ t }, index) => {
       const flag = part("trends__flag", { left: left(t), top: top(rows) }, part("", {}, String(index + 1)));

@@ -30,7 +30,7 @@ test("the rows are those of the priorities that occur, and a lower one is drawn 
 
 test("two of one priority at a time have a row each, more of them share the second", () => {
   const rows = drawn([alarm("low", 110, 150), alarm("low", 120, null), alarm("low", 130, null), alarm("low", 150, 160)]);
-  assert.deepEqual(rows.map(([, row, x]) => [row, x]), [[0, 10], [0, 50], [1, 20], [1, 30]]);
+  assert.deepEqual(rows.map(([, row, x]) => [row, x]), [[0, 20], [1, 10], [1, 30], [1, 50]]);
 });
 
 test("a name stands after its line, else before it, and never over the line or the name of another alarm", () => {
@@ -42,6 +42,20 @@ test("the second of two that follow each other has a row of its own where its na
   const [first, second] = [alarm("low", 130, 140, "Coater", "Not in REMOTE"), alarm("low", 165, null, "Dryer 2", "Not in REMOTE")];
   assert.deepEqual(names([first, second], phone).map(([row]) => row), [0, 1]);
   assert.ok(names([first, second], phone).every(([, name]) => name));
+});
+
+test("an active alarm is named before cleared ones, on its line where that takes the whole span", () => {
+  const phone = { chart: 240, beside: 34 };
+  const alarms = [alarm("urgent", 195, null, "Dryer 1"), alarm("urgent", 190, 191, "Unwind"), alarm("urgent", 185, 194, "line")];
+  const [first] = placed(alarms, [100, 200], phone);
+  assert.deepEqual([first.row, first.until, first.named?.[1]], [0, null, 95]);
+  assert.deepEqual(names([alarm("high", 90, null)]), [[0, [0, 11]]]);
+});
+
+test("the marks of a phone take no more than four rows", () => {
+  const many = ["urgent", "high", "medium", "low"].flatMap((priority) => [alarm(priority, 110, 150), alarm(priority, 120, null)]);
+  assert.equal(alarmRows(many, [100, 200], { chart: 240, beside: 34 }), 4);
+  assert.equal(alarmRows(many, [100, 200], WIDE), 8);
 });
 
 test("their lane has a row before the first alarm came", () => {

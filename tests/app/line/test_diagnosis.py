@@ -152,9 +152,9 @@ def test_a_unit_never_read_and_a_unit_lost_before_the_start_with_its_time() -> N
 
 
 RAMPING: list[tuple[dict[int, int | None], str]] = [
-    ({}, "Ramping to 120.0, about 2 s left"),
-    ({6: 5000}, "Ramping to 120.0, about 75 s left"),
-    ({6: 9999, 2: 400}, "Ramping to 120.0, about 12 min left"),
+    ({}, "Ramping to 120.0, about 2\u00a0s left"),
+    ({6: 5000}, "Ramping to 120.0, about 75\u00a0s left"),
+    ({6: 9999, 2: 400}, "Ramping to 120.0, about 12\u00a0min left"),
     ({6: None}, "Ramping to 120.0"),
     ({2: None}, "Ramping to 120.0"),
     ({8: 1}, "Ramping to 120.0"),
@@ -172,7 +172,7 @@ def test_a_ramp_shows_its_target_and_known_duration(parameters: dict[int, int | 
 def test_a_ramp_down_takes_the_deceleration() -> None:
     live = line()
     live.buses["dry"].apply([reading(1, at=LATER, commanded=0, actual=1000, outputs=REMOTE)])
-    assert named(live, LATER)[1] == "Ramping to 0.0, about 10 s left"
+    assert named(live, LATER)[1] == "Ramping to 0.0, about 10\u00a0s left"
 
 
 def test_what_was_there_at_the_start_is_first_seen_then() -> None:

@@ -533,5 +533,5 @@ def test_a_ramp_updates_its_unit_and_not_the_line_each_second() -> None:
     shown.render("dry", [1], 101.0, include_bus=False)
     live.buses["dry"].apply([reading(1, at=103.0, outputs=0x40, actual=500)])
     changed = shown.render("dry", [1], 103.0, include_bus=False)
-    assert changed["dry/1"]["status"] == "Ramping to 120.0, about 4 s left"
+    assert changed["dry/1"]["status"] == "Ramping to 120.0, about 4\u00a0s left"
     assert "line_summary" not in changed
