@@ -283,8 +283,11 @@ async def get_alarm_occurrences(
     keys = _keys(alarms, unit or [])
     found = await occurrences(alarms.store, keys, seconds(span.start), seconds(span.end))
     language = templates_of(request).language_of(request)
+    # Shelving ends what is annunciated, and not what is active.
+    hidden = {alarm.id for alarm in alarms.every() if alarm.facts.active and alarm.facts.is_hidden}
 
     def shown(each: Occurrence) -> AlarmOccurrence:
+        is_active = each.end is None or f"{each.alarm}.{each.occurrence}" in hidden
         return {
             "alarm": f"{each.alarm}.{each.occurrence}",
             "name": each.name,
@@ -293,7 +296,7 @@ async def get_alarm_occurrences(
             "unit": each.unit,
             "priority": each.priority,
             "from": iso(each.start),
-            "to": None if each.end is None else iso(each.end),
+            "to": None if is_active or each.end is None else iso(each.end),
             "shown": {"name": language.t(each.shown_name), "place": alarms.place(each.bus, each.unit)},
         }
 

@@ -147,6 +147,9 @@ async def test_shelving_has_a_reason_and_an_end(house: House) -> None:
     assert shelved["shelved_until"] is not None
     assert await present(operator, state="unack_active") == []
     assert [each["id"] for each in await present(operator, state="shelved")] == [alarm["id"]]
+    await house.services[LineAlarms].write()
+    drawn = (await operator.get(f"{API}/occurrences")).json()["occurrences"]
+    assert [each["to"] for each in drawn if each["alarm"] == alarm["id"]] == [None], "it is still active"
     assert (await act(operator, alarm["id"], "acknowledge")).status_code == 409
     back = await act(operator, alarm["id"], "unshelve")
     assert back.json()["state"] == "unack_active"
