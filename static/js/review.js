@@ -170,6 +170,16 @@ function dismiss(detail = outcome()) {
   giveBack(true);
 }
 
+/** The button says which lines it sets to zero: one by its name, several by their number.
+ * @param {HTMLElement} lines */
+function nameTicked(lines) {
+  const act = /** @type {HTMLButtonElement | null} */ (content.querySelector("[data-review]:not([data-pending]) [data-review-act]"));
+  if (!act) return;
+  const ticked = /** @type {NodeListOf<HTMLElement>} */ (lines.querySelectorAll("input:checked"));
+  act.disabled = ticked.length === 0;
+  act.textContent = (ticked.length === 1 && ticked[0]?.dataset.verb) || JSON.parse(lines.dataset.verbs ?? "[]")[ticked.length];
+}
+
 /** Lock the form while its command is in progress, and show the progress.
  * @param {HTMLElement} form */
 function lock(form) {
@@ -310,6 +320,8 @@ export function start() {
     const typed = event.target.closest("[data-typed]");
     if (typed)
       content.querySelector("[data-review-act]").disabled = typed.value.trim() !== typed.dataset.typed;
+    const lines = event.target.closest("[data-verbs]");
+    if (lines) nameTicked(lines);
   });
   for (const kind of ["input", "click", "keydown"]) document.addEventListener(kind, forget);
   document.addEventListener("lineside:lost", lost);

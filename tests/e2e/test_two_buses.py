@@ -98,18 +98,18 @@ def test_the_setpoints_page_has_both_and_changes_the_one_that_is_meant(
     assert (state(wet(site), 1)["setpoint"], state(site.line, 1)["setpoint"]) == (810, before)
 
 
-def go_to_zero(page: Page, units: int) -> None:
-    page.get_by_role("button", name="Set line to zero").click()
+def go_to_zero(page: Page) -> None:
+    page.get_by_role("button", name="Set lines to zero").click()
     act = page.locator("[data-review-act]")
-    expect(act).to_have_text(f"Set {units} units to speed 0")
+    expect(act).to_have_text("Set 2 lines to zero")
     act.click()
 
 
 def test_zero_covers_both_with_a_result_for_each(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/trends")
-    go_to_zero(page, 5)
+    go_to_zero(page)
     done = page.locator("#tray-result [data-review-done=good]")
-    expect(done).to_contain_text("5 units accepted speed 0")
+    expect(done).to_contain_text("line, wet · 5 units accepted speed 0")
     expect(page.locator("dialog[open]")).to_have_count(0)
     expect(done.locator("tbody th").filter(has_text="line ·")).to_have_count(3)
     expect(done.locator("tbody th").filter(has_text="wet ·")).to_have_count(2)
@@ -117,12 +117,40 @@ def test_zero_covers_both_with_a_result_for_each(site: Site, shared_page: OpensP
     assert {state(wet(site), unit)["setpoint"] for unit in (1, 2)} == {0}
 
 
+def test_one_line_alone_is_set_to_zero(site: Site, shared_page: OpensPages) -> None:
+    """Where its box is the only ticked one, by the keyboard, and from the page of one of its units."""
+    for bus in ("line", "wet"):
+        site.set_speed(1, bus=bus, value="50.0")
+    page = opened(shared_page(viewport=PANEL), "/trends")
+    page.get_by_role("button", name="Set lines to zero").press("Enter")
+    expect(page.locator("[data-review-cancel]")).to_be_focused()
+    act, box = page.locator("[data-review-act]"), page.get_by_role("checkbox", name="line")
+    box.press("Space")
+    expect(act).to_have_text("Set line wet to zero")
+    page.get_by_role("checkbox", name="wet").press("Space")
+    expect(act).to_have_text("No line is ticked")
+    expect(act).to_be_disabled()
+    box.press("Space")
+    expect(act).to_have_text("Set line line to zero")
+    act.press("Enter")
+    expect(page.locator("[data-review-done=good]")).to_contain_text("line · 3 units accepted speed 0")
+    assert (state(site.line, 1)["setpoint"], state(wet(site), 1)["setpoint"]) == (0, 500)
+
+    site.set_speed(1, value="50.0")
+    opened(page, "/units/wet/1")
+    page.get_by_role("button", name="Set line wet to zero").click()
+    expect(page.locator("#review-title")).to_have_text("Set line wet to zero")
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("wet · 2 units accepted speed 0")
+    assert (state(site.line, 1)["setpoint"], state(wet(site), 1)["setpoint"]) == (500, 0)
+
+
 @pytest.mark.soak
 def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, shared_page: OpensPages) -> None:
     for bus in ("line", "wet"):
         site.set_speed(1, bus=bus, value="50.0")
     page = opened(shared_page(viewport=PANEL), "/")
-    page.get_by_role("button", name="Set line to zero").click()
+    page.get_by_role("button", name="Set lines to zero").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
     site.line.remote.do("fault", kind="nak", rate=1, unit=2)
     try:
@@ -149,8 +177,8 @@ def test_a_closed_bus_leaves_the_other_its_controls(site: Site, shared_page: Ope
         assert shifts(page) == []
         opened(page, "/setpoints")
         expect(page.locator(".top__verdict")).to_contain_text("wet · Port closed since")
-        page.get_by_role("button", name="Set line to zero").click()
-        expect(page.locator("[data-review-act]")).to_have_text("Set 3 units to speed 0")
+        page.get_by_role("button", name="Set lines to zero").click()
+        expect(page.locator("[data-review-act]")).to_have_text("Set line line to zero")
         expect(page.locator("#review-body")).to_contain_text("left out: port closed")
         page.locator("[data-review-act]").click()
         expect(page.locator("[data-review-done=bad]")).to_contain_text("3 of 5 units accepted speed 0")

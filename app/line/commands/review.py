@@ -227,6 +227,8 @@ class ZeroPlan:
     risks: list[tuple[str, Message]] = field(default_factory=list)
     seconds: float = 0.0
     """The seconds of the longest ramp, as far as #2 and #7 are known."""
+    unknown: int = 0
+    """The number of units of whose ramp they are not."""
 
 
 def plan_zero(bus: BusLive, block: Callable[[int], Message | None], now: UnixTime) -> ZeroPlan:
@@ -241,8 +243,11 @@ def plan_zero(bus: BusLive, block: Callable[[int], Message | None], now: UnixTim
             plan.left_out.append((name, _left_running(bus, unit, obstacle, now)))
         else:
             plan.units[address] = name
-            plan.risks += [(name, risk) for risk in risks_of(bus, unit, now, ramp)]
+            risks = risks_of(bus, unit, now, ramp)
+            # Of many units a number says it.
+            plan.risks += [(name, risk) for risk in risks if risk.code != "risk_ramp_unknown"]
             plan.seconds = max(plan.seconds, (ramp.seconds if ramp else None) or 0.0)
+            plan.unknown += ramp is not None and ramp.seconds is None
     return plan
 
 

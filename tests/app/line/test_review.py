@@ -126,6 +126,13 @@ def test_every_unit_that_can_take_it_does() -> None:
     assert plan.seconds == 12.0
 
 
+def test_a_ramp_that_is_not_known_is_counted_and_no_remark() -> None:
+    live = line()
+    live.buses["dry"].apply([ParameterValue(unit=2, number=7, at=1, raw=None, available=False)])
+    plan = plan_zero(live.buses["dry"], unblocked, 100.0)
+    assert (plan.risks, plan.seconds, plan.unknown) == ([], 12.0, 1)
+
+
 def test_followers_come_down_with_their_master() -> None:
     live = line()
     live.buses["dry"].apply([ParameterValue(unit=2, number=8, at=1, raw=1)])

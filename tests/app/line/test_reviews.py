@@ -17,7 +17,7 @@ from app.engineering.recipes.book import RecipeBook
 from app.line.commands.limits import Limits
 from app.line.commands.safeguards import Safeguards
 from app.line.live.bus_live import LiveState
-from bus.contract import ParameterValue, Reading, Staged
+from bus.contract import BusLink, ParameterValue, Reading, Staged, UnitLink
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA, HEALTHY, REMOTE, RUN, fresh, responding
 from tests.for_each import for_each
@@ -114,6 +114,59 @@ async def test_a_recipe_and_zero_name_units_left_out_too(house: House) -> None:
     response = await zero(house)
     assert remarks(response) == [("left_running", "Nip")]
     assert "belt off" in response.text
+
+
+@pytest.fixture
+async def two_lines(house: House, tmp_path: Path) -> AsyncIterator[House]:
+    """As ``house``, with a second line, whose unit responds too."""
+    buses = (
+        'name = "dry-end"\nport = "/dev/a"\nunit = [{id = 1, name = "Unwind"}, {id = 2, name = "Nip"}]',
+        ('name = "wet-end"\nport = "/dev/b"\nunit = [{id = 1, name = "Forming"}]'),
+    )
+    config = tmp_path / "lineside.toml"
+    config.write_text("".join(f"[[bus]]\n{bus}\n" for bus in buses), encoding="utf-8")
+    async with complete_app(tmp_path / "two", config=config) as house:
+        responding(house.services[LiveState], run=True)
+        wet = house.services[LiveState].buses["wet-end"]
+        wet.apply([BusLink(at=1.0, link="open"), UnitLink(unit=1, at=1.0, link="online")])
+        wet.apply([Reading(1, fresh(), 1000, 1000, 0, REMOTE, HEALTHY | RUN)])
+        await house.signed_in(Role.OPERATOR)
+        yield house
+
+
+async def test_each_line_is_set_to_zero_by_choice(two_lines: House) -> None:
+    browser = operator(two_lines)
+    text = (await browser.get("/line/zero")).text
+    assert re.findall(r'name="bus" value="([^"]*)" checked', text) == ["dry-end", "wet-end"]
+    assert re.search(r"data-review-act>([^<]*)<", text)[1] == "Set 2 lines to zero"  # type: ignore[index]
+    assert ": 1 unit; of 1 unit the ramp is not known yet" in text
+    text = (await browser.get("/line/zero?bus=wet-end")).text
+    assert re.findall(r'name="bus" value="([^"]*)"', text) == ["wet-end"]
+    assert text.count("Set line wet-end to zero") == 2, "title and button"
+    assert "Not part of this change: dry-end" in text
+    assert (await browser.get("/line/zero?bus=gone")).status_code == 404
+
+
+async def test_a_page_of_one_line_sets_that_one_to_zero(two_lines: House) -> None:
+    browser = operator(two_lines)
+    for path, review in (
+        ("/units/wet-end/1", "/line/zero?bus=wet-end"),
+        ("/bus/wet-end", "/line/zero?bus=wet-end"),
+        ("/?bus=wet-end", "/line/zero"),
+        ("/units/gone/1", "/line/zero"),
+    ):
+        text = (await browser.get(path, headers={"Accept": "text/html"})).text
+        assert f'hx-get="{review}"' in text, path
+
+
+async def test_a_line_that_is_not_ticked_gets_nothing(two_lines: House) -> None:
+    form = {"id": "a" * 32, "reviewed_at": str(time.time())}
+    browser = operator(two_lines)
+    text = (await browser.post("/line/zero", data={**form, "bus": "wet-end"})).text
+    assert "Forming" in text
+    assert "Unwind" not in text
+    assert (await browser.post("/line/zero", data=form)).status_code == 422
+    assert (await browser.post("/line/zero", data={**form, "bus": "gone"})).status_code == 404
 
 
 async def test_units_not_part_of_it_are_named_without_alarm(house: House) -> None:

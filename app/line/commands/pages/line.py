@@ -230,31 +230,29 @@ def proven(
     )
 
 
-ZERO_TITLE = term("Set line to zero")
+ZERO_TITLE, LINES_TITLE = term("Set line to zero"), term("Set lines to zero")
 
 
 @router.get("/line/zero")
-async def review_zero(person: Viewer, page: Page) -> Response:
-    """Review setting the line to zero: which units, and which not; a bus that another user controls is one
-    item. A viewer sees the same button, in the same place on every page, with the reason why it has no
-    effect."""
+async def review_zero(person: Viewer, page: Page, bus: str | None = None) -> Response:
+    """Review setting ``bus``, or each line by choice, to zero: which units, and which not; a bus that another
+    user controls is one item. A viewer sees the same button, in the same place on every page, with the
+    reason why it has no effect."""
     if not person.role.includes(SET_LINE.role):
         return page.render("line/_zero_not_yours.html")
-    buses = page.buses()
-    objections = {bus.name: bus.guards.objection(person.account) for bus in buses}
-    plans = {bus: _plan(bus) for bus in buses if not objections[bus.name]}
+    buses = page.buses() if bus is None else [page.of_bus(bus)]
+    objections = {each.name: each.guards.objection(person.account) for each in buses}
+    plans = {each: _plan(each) for each in buses if not objections[each.name]}
     return page.review(
         "line/_review_zero.html",
         plans=list(plans.values()),
-        risks=by_remark(
-            (_on_site(bus, name), risk) for bus, plan in plans.items() for name, risk in plan.risks
-        ),
-        left_out=by_remark(
-            (_on_site(bus, name), reason) for bus, plan in plans.items() for name, reason in plan.left_out
-        ),
+        risks={plan.bus: by_remark(plan.risks) for plan in plans.values()},
+        left_out={plan.bus: by_remark(plan.left_out) for plan in plans.values()},
         held={bus: objection for bus, objection in objections.items() if objection},
-        many=len(buses) > 1,
-        longest_s=max((_longest_s(bus.bus, len(plan.units)) for bus, plan in plans.items()), default=0.0),
+        asked=bus,
+        others=[name for name in page.live.buses if name not in objections],
+        many=len(page.live.buses) > 1,
+        longest_s=max((_longest_s(each.bus, len(plan.units)) for each, plan in plans.items()), default=0.0),
     )
 
 
@@ -268,18 +266,36 @@ def _plan(page: BusPage) -> ZeroPlan:
 
 
 @router.post("/line/zero", dependencies=[permitted(SET_LINE)])
-async def set_zero(page: Page, confirmed: Confirmed) -> Response:
-    """Set the speed of every reachable unit to 0, all at once if all acknowledge, else one by one. A refusal
-    by one bus or one unit does not affect the others."""
+async def set_zero(
+    page: Page, confirmed: Confirmed, bus: Annotated[tuple[str, ...], Form()] = ()
+) -> Response:
+    """Set the speed of every reachable unit of each ``bus`` to 0, all at once if all acknowledge, else one by
+    one. A refusal by one bus or one unit does not affect the others. The only bus need not be named."""
+    buses = [page.of_bus(name) for name in dict.fromkeys(bus)] or page.buses()
+    if not bus and len(buses) > 1:
+        raise Problem(422, "invalid", Message("not_what_was_reviewed"))
     try:
         confirmed.refuse_lapsed()
     except Problem as problem:
-        response = page.refused(problem, page.translator.t(ZERO_TITLE))
+        title = ZERO_TITLE if len(buses) == 1 else LINES_TITLE
+        response = page.refused(problem, page.translator.t(title))
         response.headers["HX-Retarget"] = "#review-body"
         return response
-    by_bus = await asyncio.gather(*(_zero_bus(bus, f"{confirmed.id}-{bus.name}") for bus in page.buses()))
-    proofs = [proof for bus in by_bus for proof in bus]
-    return page.render("setpoints/_done.html", proofs=proofs, outcome=_in_all(proofs), undo=None, skew=None)
+    by_bus = await asyncio.gather(*(_zero_bus(each, f"{confirmed.id}-{each.name}") for each in buses))
+    proofs = [proof for rows in by_bus for proof in rows]
+    return page.render(
+        "setpoints/_done.html",
+        proofs=proofs,
+        outcome=_in_all(proofs),
+        what=_lines_set(zip(buses, by_bus, strict=True)) if len(page.live.buses) > 1 < len(proofs) else "",
+        undo=None,
+        skew=None,
+    )
+
+
+def _lines_set(results: Iterable[tuple[BusPage, list[ResultRow]]]) -> str:
+    set_now = (page.name for page, rows in results if any(outcome.tone == "good" for *_, outcome in rows))
+    return ", ".join(set_now)
 
 
 async def _zero_bus(page: BusPage, id: str) -> list[ResultRow]:
