@@ -38,8 +38,8 @@ function write(drafts) {
   }
 }
 
-/** The address that a form is sent to is stamped with the moment of the press (review.js): without that. One address may
- * have a form for each bus, for each parameter of many units, or for each note that is corrected.
+/** The address of a form without the moment of the press (review.js), and what it is about: a bus, a parameter of many
+ * units, a note that is corrected.
  * @param {HTMLFormElement} form */
 const keyOf = (form) => {
   const address = (form.getAttribute("hx-post") ?? form.action).replace(STAMP, "");
@@ -105,7 +105,7 @@ function putBack(form) {
 /** @type {WeakSet<HTMLFormElement>} */
 const known = new WeakSet();
 
-/** In the forms of the page, and in those that came later: in a faceplate, in a table that was drawn again. */
+/** Also in forms that came later: a faceplate, a table drawn again. */
 function putBackNew() {
   for (const form of document.forms) {
     if (known.has(form) || !canKeep(form)) continue;

@@ -161,7 +161,7 @@ function outcome() {
 function dismiss(detail = outcome()) {
   close();
   if (dialog.open) dialog.close();
-  // Where a result that is not known took the place of the form, what was typed was sent.
+  // A result in the place of the form: what was typed was sent.
   if (detail === "good" || (detail === "unknown" && !reviewed?.isConnected)) taken(reviewed);
   else if (detail === "unknown") document.dispatchEvent(new CustomEvent("lineside:unknown", { detail: reviewed }));
   reviewed = null;
@@ -170,7 +170,7 @@ function dismiss(detail = outcome()) {
   giveBack(true);
 }
 
-/** The button says which lines it sets to zero: one by its name, several by their number.
+/** The button names the line that it sets to zero, or their number.
  * @param {HTMLElement} lines */
 function nameTicked(lines) {
   const act = /** @type {HTMLButtonElement | null} */ (content.querySelector("[data-review]:not([data-pending]) [data-review-act]"));

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -179,6 +180,7 @@ async def test_a_batch_stops_between_two_units(house: House, line: PlayedLine, h
         await withdraw(house, how)
 
     line.before_write = before
+    form |= {"id": "a-batch-of-two", "reviewed_at": str(time.time())}
     response = await client.post(f"/batch/{BUS}/write", data=form)
     assert response.status_code == 200, response.text
     assert "rights withdrawn" in response.text

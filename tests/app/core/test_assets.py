@@ -190,7 +190,7 @@ async def test_a_first_visit_of_a_unit_page_is_light(house: House) -> None:
         for name in names
         if name.startswith(("css/", "js/"))
     }
-    assert sum(weight.values()) <= 49 * 1024, weight
+    assert sum(weight.values()) <= 50 * 1024, weight
 
 
 def rendered(source: str, folder: Path) -> str:
