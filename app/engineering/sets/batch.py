@@ -145,8 +145,9 @@ async def learn(commands: CommandService, person: Person, bus: BusLive, number: 
 async def write_batch(
     commands: CommandService, person: Person, number: int, rows: list[BatchRow], id: str, *, confirm: bool
 ) -> list[BatchResult]:
-    """Write the rows that change a value, one after another, each with its own id from ``id``. A refusal that
-    concerns the person ends the batch; a refusal that concerns one unit does not."""
+    """Write the changed values of a batch, one unit after another. ``id``: the id of the batch, from which
+    each command gets its own. A refusal because of the person ends the batch, one because of a unit does
+    not."""
     results: list[BatchResult] = []
     stopped_by: Message | None = None
     for row in rows:

@@ -60,7 +60,8 @@ PlaceScales = Mapping[ValuePlace, UnitScale]
 
 
 class Tray(NamedTuple):
-    """What one sender has gathered, in the order of adding, and when the last change was added."""
+    """The changes that one sender has added and not sent yet, in the order of adding, and the time of the
+    last."""
 
     changes: Values
     scales: PlaceScales

@@ -226,9 +226,9 @@ class ZeroPlan:
     left_out: list[tuple[str, Message]] = field(default_factory=list)
     risks: list[tuple[str, Message]] = field(default_factory=list)
     seconds: float = 0.0
-    """The seconds of the longest ramp, as far as #2 and #7 are known."""
+    """The seconds of the longest ramp to zero among those that are known (#2 and #7 were read)."""
     unknown: int = 0
-    """The number of units of whose ramp they are not."""
+    """The number of units whose ramp to zero is not known."""
 
 
 def plan_zero(bus: BusLive, block: Callable[[int], Message | None], now: UnixTime) -> ZeroPlan:
@@ -270,8 +270,8 @@ class DrawChange(NamedTuple):
 def refused_parameter(
     unit: UnitLive, parameter: Parameter, error: CallerError | Problem, limits: Limits
 ) -> tuple[Message, Message | str]:
-    """Return why a typed value of a parameter is refused, and the nearest that is not, if there is one; both
-    as the unit shows values, and not raw as the rules name them."""
+    """Return the reason why a typed value of a parameter is refused, and the nearest allowed value (empty if
+    there is none). Both show values as the unit does, not raw."""
     nearest = None if parameter.scale is Scale.BAUD else getattr(error, "nearest", None)
     reason = error.message
     if isinstance(error, Problem):

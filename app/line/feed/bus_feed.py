@@ -285,7 +285,7 @@ class HeldSpeeds:
     _under_way: Counter[int] = field(default_factory=Counter)
     """The number of commands under way that stage a speed in each unit."""
     _removed: set[int] = field(default_factory=set)
-    """Those that are not configured any more: they may still be on the bus."""
+    """The units that may hold a staged speed and are not configured any more, but may still be on the bus."""
     _stored: set[int] = field(default_factory=set)
     _storing: asyncio.Lock = field(default_factory=asyncio.Lock)
     _changed: asyncio.Event = field(default_factory=asyncio.Event)

@@ -176,7 +176,8 @@ class SpanFigures:
             self._is_wanted.clear()
 
     def _known(self, shift: Shift, within_s: float = PRESENT_S) -> LineFigures | None:
-        """Return the remembered figures of a shift that is over, or that were read ``within_s`` ago."""
+        """Return the figures of a shift from memory if the shift is over, or if they were read less than
+        ``within_s`` seconds ago; else None."""
         read_at, figures = self._remembered.get(shift, (UnixTime(0.0), None))
         is_current = read_at > shift.end + LATE_S or self._clock() - read_at < within_s
         return figures if is_current else None

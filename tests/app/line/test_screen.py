@@ -10,7 +10,7 @@ from app.line.conditions.catalogue import TILES
 from app.line.live.bus_live import Onset
 from app.line.live.diagnosis import abnormal
 from app.line.live.fields import bus_fields, frame_fields, health_fields, name_on_site, unit_fields
-from app.line.live.screen import NO_BREAK, NamedCause, holders, line_fields, verdict_line
+from app.line.live.screen import NO_BREAK, NamedCause, Screen, holders, line_fields, verdict_line
 from app.line.live.sources import Drifted
 from bus.contract import MAX_MEANING, BusFigures, BusLink, Frame, ParameterValue, UnitFigures
 from bus.instants import UnixTime
@@ -264,22 +264,24 @@ def test_until_a_cause_is_an_alarm_the_verdict_says_when_it_will_be() -> None:
         assert shown.shown["line_summary"]["named"] == named
 
 
-def test_a_cause_that_is_an_alarm_is_told_with_the_time_of_the_alarm() -> None:
+def stopped_with(source: str, at: float) -> Screen:
+    """A line whose second unit is stopped by its e-stop, with a time for its alarm from this source."""
     live = line()
     shown = screen(live)
-    shown.sources.alarm_since = lambda *of: UnixTime(260.0) if of == ("dry/2", "estop_active") else None
+    setattr(shown.sources, source, lambda *of: UnixTime(at) if of == ("dry/2", "estop_active") else None)
     live.buses["dry"].apply([reading(2, at=258.0, inputs=1)])
     shown.render("dry", [2], UnixTime(260.2), include_bus=False)
+    return shown
+
+
+def test_a_cause_that_is_an_alarm_is_told_with_the_time_of_the_alarm() -> None:
+    shown = stopped_with("alarm_since", 260.0)
     assert str(shown.shown["dry/2"]["status"]).endswith("since 00:04")
     assert str(shown.shown["line_summary"]["cause"]).endswith("since 00:04")
 
 
 def test_a_cause_whose_alarm_is_shelved_says_until_when_on_its_page_and_beside_the_verdict() -> None:
-    live = line()
-    shown = screen(live)
-    shown.sources.shelved_until = lambda *of: UnixTime(900.0) if of == ("dry/2", "estop_active") else None
-    live.buses["dry"].apply([reading(2, at=258.0, inputs=1)])
-    shown.render("dry", [2], UnixTime(260.2), include_bus=False)
+    shown = stopped_with("shelved_until", 900.0)
     assert str(shown.shown["dry/2"]["status"]).endswith(" · alarm shelved until 00:15")
     assert shown.shown["line_summary"]["named"] == "alarm shelved until 00:15"
     found = [

@@ -235,9 +235,9 @@ ZERO_TITLE, LINES_TITLE = term("Set line to zero"), term("Set lines to zero")
 
 @router.get("/line/zero")
 async def review_zero(person: Viewer, page: Page, bus: str | None = None) -> Response:
-    """Review setting ``bus``, or each line by choice, to zero: which units, and which not; a bus that another
-    user controls is one item. A viewer sees the same button, in the same place on every page, with the
-    reason why it has no effect."""
+    """Render the review of *Set line to zero*: the units that change, those that do not, and the lines that
+    another user controls. ``bus``: the only line that is set; None: the user chooses among all. A viewer
+    gets the reason why the button has no effect."""
     if not person.role.includes(SET_LINE.role):
         return page.render("line/_zero_not_yours.html")
     buses = page.buses() if bus is None else [page.of_bus(bus)]
