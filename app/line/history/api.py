@@ -36,7 +36,7 @@ from app.core.web.shape import (
 from app.core.web.templating import templates_of
 from app.errors import Problem
 from app.line.history.export import ExportResolution, Format, Layout, export_response
-from app.line.history.query import QueryResult, Resolution, SeriesQuery, stored_queries
+from app.line.history.query import QueryResult, Resolution, SeriesQuery
 from app.line.history.series import values
 from app.line.history.series.runs import HOUR, SECOND, micros
 from app.line.history.series.values import VALUES
@@ -418,8 +418,8 @@ async def export_history(
     *,
     form: WantedCsv,
 ) -> StreamingResponse:
-    """Export any span as CSV or Parquet, streamed: ``series`` may be repeated, each ``bus/unit/value``. Of a
-    draw the file has the two speeds that it is made of.
+    """Export any span as CSV or Parquet, streamed: ``series`` may be repeated, each ``bus/unit/value``. A
+    draw is a column of a table; in rows of readings it is the two speeds that it is made of.
 
     ``resolution`` auto: readings if they are stored for the complete span, else minutes. ``layout=table``, of
     CSV: one row a time (a second, or longer over a long span) with every value in force then, in local time,
@@ -427,8 +427,6 @@ async def export_history(
     decimal sign of that language.
     """
     requested = series_queries(history, series, Span(span.start, span.end), 1)
-    stored = [stored for each in requested for stored in stored_queries(each)]
-    once = {(each.bus.name, each.unit, each.value.name): each for each in stored}
     if layout == "table" and form.language is None:
         form = CsvForm(templates_of(request).language_of(request), ZoneInfo(history.time_zone))
-    return await export_response(history, list(once.values()), file, resolution, form, layout)
+    return await export_response(history, requested, file, resolution, form, layout)

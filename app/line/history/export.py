@@ -36,10 +36,12 @@ from app.line.history.query import (
     rollups,
     runs_between,
     scale_of,
+    stored_queries,
     stored_unit,
 )
 from app.line.history.recorder import Tail
 from app.line.history.series import values
+from app.line.history.series.figures import STORED_DECIMALS, draw_percent
 from app.line.history.series.runs import DAY, HOUR, MINUTE, SECOND, Run, micros
 from app.line.history.series.values import LinearScale, holes, long_gap, usual_interval
 from app.line.history.service import History
@@ -66,11 +68,14 @@ async def export_response(
     layout: Layout = "readings",
 ) -> StreamingResponse:
     """Stream an export, so that a year takes no more memory than a day. ``form`` and ``layout`` are those of
-    CSV. Raise StoreError or Problem before it begins."""
+    CSV. A draw has its column in a table; single readings have the two speeds that it is made of. Raise
+    StoreError or Problem before it begins."""
     if file == "parquet" and not await _parquet_is_usable():
         raise Problem(501, "no_parquet", Message("no_parquet"))
+    shown = _once(queries)
+    queries = _once(stored for query in queries for stored in stored_queries(query))
     fineness = await _fineness(history, queries, resolution)
-    table = Table(queries, fineness, history.time_zone, carries=layout == "table")
+    table = Table(queries, fineness, history.time_zone, carries=layout == "table", shown=shown)
     name = f"lineside-{_stamp(queries[0].start, table)}-{_stamp(queries[0].end, table)}.{file}"
     headers, rows = attachment(name), pieces(history, table)
     if file == "csv":
@@ -78,6 +83,10 @@ async def export_response(
         return StreamingResponse(text, 200, headers, "text/csv; charset=utf-8")
     media = "application/vnd.apache.parquet"
     return StreamingResponse(_stream_parquet(table, rows), 200, headers, media)
+
+
+def _once(queries: Iterable[SeriesQuery]) -> list[SeriesQuery]:
+    return list({(each.bus.name, each.unit, each.value.name): each for each in queries}.values())
 
 
 def _stamp(at: int, table: Table) -> str:
@@ -123,7 +132,7 @@ async def stream_table(
     yield form.head(columns)
 
     def text(rows: Iterable[ExportRow]) -> str:
-        return form.rows(columns, (_cells(row, site) for row in rows))
+        return form.rows(columns, (_cells(table.as_shown(row), site) for row in rows))
 
     async for rows in pieces:
         yield await asyncio.to_thread(text, rows if together is None else together.rows(rows))
@@ -234,12 +243,14 @@ class ExportRow(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Table:
     """The columns of an export, and its resolution. ``carries``: whether a value that was steady from before
-    the start has a row at the start, even if the unit did not respond then."""
+    the start has a row at the start, even if the unit did not respond then. ``shown``: what people chose, in
+    which a draw stands for the two speeds of ``queries``; empty for ``queries`` themselves."""
 
     queries: Sequence[SeriesQuery]
     fineness: Resolution
     time_zone: str
     carries: bool = False
+    shown: Sequence[SeriesQuery] = ()
 
     @property
     def columns(self) -> list[str]:
@@ -251,13 +262,29 @@ class Table:
         """Return a name for each column for people: the name of the unit, of its wiring, and the measure."""
         rollup = (language.t("minimum"), language.t("maximum"), language.t("average"))
         parts = [""] if self.fineness == "readings" else [f" {word}" for word in rollup]
-        names = [_name(query, language) for query in self.queries]
-        places = [f" ({query.bus.name}/{query.unit})" for query in self.queries]
+        shown = self.shown or self.queries
+        names = [_name(query, language) for query in shown]
+        places = [f" ({query.bus.name}/{query.unit})" for query in shown]
         return [
             f"{name}{place if names.count(name) > 1 else ''}{part}{_measure(query)}"
-            for query, name, place in zip(self.queries, names, places, strict=True)
+            for query, name, place in zip(shown, names, places, strict=True)
             for part in parts
         ]
+
+    def as_shown(self, row: ExportRow) -> ExportRow:
+        """Return a row with the cells of ``shown``: a draw is of the two speeds or of their averages."""
+        parts = 1 if self.fineness == "readings" else 3
+        stored = [(each.bus.name, each.unit, each.value.name) for each in self.queries]
+        cells: list[Cell | None] = []
+        for query in self.shown or self.queries:
+            places = [parts * stored.index((q.bus.name, q.unit, q.value.name)) for q in stored_queries(query)]
+            if query.value.kind == "draw":
+                before, section = (row.cells[place + parts - 1] for place in places)
+                draw = draw_percent(before and before.value, section and section.value)
+                cells += [None if draw is None else Cell(draw + 0.0, STORED_DECIMALS)] * parts
+            else:
+                cells += row.cells[places[0] : places[0] + parts]
+        return row._replace(cells=tuple(cells))
 
 
 def _name(query: SeriesQuery, language: Language) -> str:

@@ -290,6 +290,29 @@ async def test_a_unit_that_does_not_come_back_is_empty_in_a_table(
     assert await shown(20, 40) == [("", "100.0")] * 20
 
 
+@pytest.mark.parametrize("resolution", ["readings", "minutes"])
+async def test_a_draw_is_a_column_of_a_table_without_the_speeds_that_were_not_chosen(
+    client: httpx.AsyncClient, history: History, resolution: str
+) -> None:
+    scale = [
+        parameter(number, raw, unit=unit) for unit in (1, 2) for number, raw in ((3, 1), (22, 0), (23, 100))
+    ]
+    before = [reading(NOON + second / 2, 1000, unit=1) for second in range(80)]
+    section = [reading(NOON + second / 2, 1035, unit=2) for second in range(240)]
+    history.append("dry-end", [*scale, *before, *section])
+    until(lambda: history.status.waiting == 0)
+    chosen = ["dry-end/2/draw", "dry-end/2/actual"]
+    params = {"series": chosen, "layout": "table", "from": at(0), "to": at(120), "resolution": resolution}
+    response = await client.get("/history/export", params=params)
+    [head, *rows] = csv.reader(io.StringIO(response.content.decode("utf-8-sig")))
+    if resolution == "readings":
+        assert [text.split(" ", 1)[1] for text in head[2:]] == ["draw [%]", "actual"]
+        assert [row[2:] for row in rows] == [["3.50", "103.5"]] * 40 + [["", "103.5"]] * 80
+    else:
+        assert [text.split(" ", 1)[1] for text in head[2:4]] == ["draw minimum [%]", "draw maximum [%]"]
+        assert [row[2:5] for row in rows] == [["3.50"] * 3, [""] * 3]
+
+
 async def test_an_export_before_anything_is_folded_holds_what_a_worker_kept_for_days(
     client: httpx.AsyncClient, history: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -408,7 +408,7 @@ def passed_web(before: Sequence[SpeedStretch], section: Sequence[SpeedStretch]) 
         minutes[at // MINUTE] = passed + speed_before * lasting, went + speed * lasting
     if not minutes:
         return None
-    draws = [_draw(*lengths) or 0.0 for lengths in minutes.values()]
+    draws = [draw_percent(*lengths) or 0.0 for lengths in minutes.values()]
     passed, went = (sum(lengths) for lengths in zip(*minutes.values(), strict=True))
     return PassedWeb(passed, went, min(draws), max(draws))
 
@@ -419,7 +419,7 @@ def draw_figures(parts: Iterable[PassedWeb | None]) -> DrawFigures | None:
     if not read:
         return None
     before, section, least, greatest = zip(*read, strict=True)
-    return DrawFigures(_draw(sum(before), sum(section)) or 0.0, min(least), max(greatest))
+    return DrawFigures(draw_percent(sum(before), sum(section)) or 0.0, min(least), max(greatest))
 
 
 def _together(
@@ -448,7 +448,7 @@ def draw_series(before: Series, section: Series, width: int) -> Series:
     stretch is that of its averages, and so of the web that passed; its least and greatest are equal."""
     at = sorted({*before.at, *section.at})
     speed_before, speed = _held(before, width), _held(section, width)
-    draws = [_draw(speed_before(time), speed(time)) for time in at]
+    draws = [draw_percent(speed_before(time), speed(time)) for time in at]
     return Series(at, draws, list(draws), list(draws))
 
 
@@ -465,5 +465,6 @@ def _held(series: Series, width: int) -> Callable[[int], float | None]:
     return at
 
 
-def _draw(before: float | None, section: float | None) -> float | None:
+def draw_percent(before: float | None, section: float | None) -> float | None:
+    """Return the draw of two speeds in percent; None while either stands or is not known."""
     return round(100 * (section / before - 1), STORED_DECIMALS) if before and section else None
