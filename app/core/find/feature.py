@@ -19,6 +19,17 @@ from app.feature import Feature, Services
 from bus.messages import Message
 from bus.validation import OneLine
 
+PAGE_WORDS = {
+    "line": Message("find_words_line"),
+    "alarms": Message("find_words_alarms"),
+    "trends": Message("find_words_trends"),
+    "shifts": Message("find_words_shifts"),
+    "events": Message("find_words_events"),
+    "bus": Message("find_words_bus"),
+    "users": Message("find_words_users"),
+    "configuration": Message("find_words_configuration"),
+}
+"""More words that find a page, by its ``key``."""
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 Typed = Annotated[OneLine, Query(max_length=80)]
 Near = Annotated[str, Query(max_length=200)]
@@ -32,6 +43,7 @@ ACTIONS = (
     FixedPlace(Message("find_write_note"), "/shifts/present", "write_shift_note"),
     FixedPlace(Message("find_add_alarm"), "/alarms/own", "add_own_alarm"),
     FixedPlace(Message("find_acknowledge"), "/alarms"),
+    FixedPlace(Message("find_sound"), "/alarms#sound-title", words=Message("find_words_sound")),
     FixedPlace(Message("find_wallboard"), "/wallboard"),
     FixedPlace(Message("find_scan_bus"), "/bus#scan"),
     FixedPlace(Message("find_bus_load"), "/bus"),
@@ -63,7 +75,11 @@ async def find_page(
 
 def make(services: Services) -> None:
     finders = services.add(Finders())
-    pages = [FixedPlace(page.label, page.href, page.act) for group in GROUPS for page in group.pages]
+    pages = [
+        FixedPlace(page.label, page.href, page.act, PAGE_WORDS.get(page.key))
+        for group in GROUPS
+        for page in group.pages
+    ]
     finders.add_links("find_pages", pages)
     if services.demo:
         tour = FixedPlace(Message("find_tour"), "#tour", words=Message("find_words_tour"))

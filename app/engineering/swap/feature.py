@@ -218,7 +218,8 @@ async def _find(live: LiveState, search: Search) -> Iterable[FoundPlace]:
             name = name_on_site(bus.settings.name, unit.settings.name, live.buses)
             label = Message.of("find_replace", unit=name)
             href = f"/swap/{unit_key(bus.settings.name, unit.settings.id)}"
-            places = matched(search, FoundPlace(label, href), search.language.t(label), *unit.names)
+            names = map(search.language.t, (label, Message("find_words_replace")))
+            places = matched(search, FoundPlace(label, href), *names, *unit.names)
             # Whoever types the name of a unit wants the unit, before its replacement.
             found += (place._replace(rank=place.rank + 1) for place in places)
     return found

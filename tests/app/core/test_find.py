@@ -99,8 +99,27 @@ async def test_help_actions_and_the_state_of_an_input_are_found(tmp_path: Path) 
         assert 'href="/swap/dry-end/2"' in await found(engineer, "replace nip")
         assert "data-theme-toggle" in await found(client, "theme")
         assert 'href="/system"' in await found(client, "backup")
+        german = await house.signed_in(Role.ENGINEER, "gerda")
+        german.headers["Accept-Language"] = "de"
+        for typed, page in (
+            ("Gerätetausch", "/swap/dry-end/2"),
+            ("Regler tauschen", "/swap/dry-end/2"),
+            ("Alarmton", "/alarms#sound-title"),
+            ("Ton", "/alarms#sound-title"),
+            ("Farbschema", "#theme-toggle"),
+            ("Kennwort", "/account"),
+            ("Übergabe", "/shifts"),
+            ("Störung", "/alarms"),
+            ("Null", "/setpoints"),
+        ):
+            assert f'href="{page}"' in await found(german, typed), typed
         assert "data-tour" not in await found(client, "tour"), "only a demo has one"
         for typed, page in (
+            ("sound", "/alarms#sound-title"),
+            ("graph", "/trends"),
+            ("handover", "/shifts"),
+            ("protocol", "/events"),
+            ("logout", "/account"),
             ("tour", "/help"),
             ("Sprache", "/account"),
             ("legend", "/help/legend"),
