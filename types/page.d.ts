@@ -222,6 +222,7 @@ interface PartsById {
   "trend-unread": HTMLElement;
   "trend-values": HTMLTableSectionElement;
   "trend-copied": HTMLElement;
+  "trend-copy": HTMLButtonElement;
   "trend-link": HTMLInputElement;
   "trend-words": HTMLTemplateElement & { dataset: TrendWords };
   "time-a": HTMLElement;

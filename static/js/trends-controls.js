@@ -87,8 +87,19 @@ function copyLink(view, words) {
   link.hidden = false;
   link.select();
   link.hidden = document.execCommand("copy");
-  document.getElementById("trend-copied").textContent = link.hidden ? words.copied : "";
+  sayCopied(link.hidden ? words.copied : "");
   copied = String(view.query());
+}
+
+/** Say that the link was copied, or no longer: to eyes within the button, which keeps its width, so that nothing moves.
+ * @param {string} text */
+function sayCopied(text) {
+  const button = document.getElementById("trend-copy");
+  const { label = "", copied: done = "" } = button.dataset;
+  if (text) button.style.minInlineSize = `${button.offsetWidth}px`;
+  button.textContent = text ? done : label;
+  button.title = text;
+  document.getElementById("trend-copied").textContent = text;
 }
 
 /** Show in the controls what the view is. @param {HTMLElement} root @param {Trends} trends */
@@ -109,7 +120,7 @@ export function showControls(root, { view, range }) {
   document.getElementById("trend-scale").value = view.scale;
   document.getElementById("trend-compare").value = view.compare;
   document.getElementById("trend-marks").checked = view.marks;
-  if (copied !== String(view.query())) document.getElementById("trend-copied").textContent = "";
+  if (copied !== String(view.query())) sayCopied("");
   document.getElementById("trend-save").elements.query.value = String(view.query());
   for (const file of ["csv", "data", "parquet"]) {
     const link = /** @type {HTMLAnchorElement | null} */ (document.getElementById(`export-${file}`));

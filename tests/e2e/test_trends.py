@@ -253,6 +253,16 @@ def test_two_presses_set_two_cursors_and_two_fingers_zoom(shared_page: OpensPage
     assert ended - began == pytest.approx(300, rel=0.05)
 
 
+def test_copying_the_link_moves_nothing(shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=PHONE), "?s=line/1/actual")
+    places = [page.locator(each) for each in ("#trend-copy", "#trend-plot")]
+    before = [place.bounding_box() for place in places]
+    places[0].click()
+    expect(page.locator("#trend-copied")).to_contain_text("Link copied")
+    expect(places[0]).to_have_text("Copied")
+    assert [place.bounding_box() for place in places] == before
+
+
 def test_the_legend_reads_at_the_cursor_and_the_export_is_what_the_page_shows(
     site: Site, shared_page: OpensPages
 ) -> None:
