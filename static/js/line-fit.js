@@ -75,6 +75,12 @@ export function sizeOf({ width, height }) {
   return height >= ABOVE_PX + number + lines * LINE_PX ? "medium" : "small";
 }
 
+/** So many tiles have the last ten minutes in the place of a cause; more would cost a panel too much. */
+const MOST_TRENDS = 12;
+
+/** Whether cells of a size show the last ten minutes where a cause would be. @param {string} size @param {number} count */
+export const showsTrends = (size, count) => size === "medium" && count <= MOST_TRENDS;
+
 /** The number of columns, and the window that it was counted for. */
 let counted = { columns: 0, of: "" };
 
@@ -105,6 +111,7 @@ function fit(line) {
   if (isTall) found = { ...found, height: SCROLLED_PX };
   line.toggleAttribute("data-scrolls", isTall);
   line.dataset.size = isPhone ? "phone" : sizeOf(found);
+  line.toggleAttribute("data-trends", showsTrends(line.dataset.size, line.querySelectorAll(".web > *").length));
   line.style.setProperty("--columns", String(found.columns));
   line.style.setProperty("--cell-width", `${found.width.toFixed(1)}px`);
   line.style.setProperty("--cell-height", `${found.height.toFixed(1)}px`);

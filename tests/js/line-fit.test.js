@@ -1,7 +1,7 @@
 // How the cells of the line page fill a window of any size.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { fitOf, fitWith, sizeOf } from "../../static/js/line-fit.js";
+import { fitOf, fitWith, showsTrends, sizeOf } from "../../static/js/line-fit.js";
 
 const TILES = { width: 186, height: 110, strip: 22, gap: 8 };
 const MATRIX = { width: 74, height: 48, strip: 16, gap: 3 };
@@ -67,4 +67,9 @@ test("a cause is shown where it has room", () => {
   assert.equal(sizeOf({ columns: 3, width: 427, height: 174 }), "medium");
   assert.equal(sizeOf({ columns: 10, width: 170, height: 121 }), "medium");
   assert.equal(sizeOf({ columns: 22, width: 76, height: 50 }), "small");
+});
+
+test("the last ten minutes are in the place of a cause of up to twelve medium tiles", () => {
+  assert.deepEqual([8, 11, 12, 16].map((count) => showsTrends("medium", count)), [true, true, true, false]);
+  assert.equal(showsTrends("small", 8), false);
 });
