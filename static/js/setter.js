@@ -187,13 +187,14 @@ function markTray() {
 
 // --- draw, as it becomes by what is typed ---------------------------------------------------------------
 
-/** What is entered for a unit, as a number; NaN for nothing.
- * @param {string} unit */
-function enteredFor(unit) {
-  const field = /** @type {HTMLInputElement | null} */ (
-    document.querySelector(`[data-new="${unit}"], [data-follows="${unit}.commanded"][data-touched]`)
-  );
-  return numberOf(field?.value ?? "");
+/** What is entered for each unit, as a number; NaN for nothing. In one search: one for each of 255 units holds the page up.
+ * @returns {Map<string, number>} */
+function enteredByUnit() {
+  const entered = new Map();
+  const fields = document.querySelectorAll('[data-new], [data-follows$=".commanded"][data-touched]');
+  for (const field of /** @type {NodeListOf<HTMLInputElement>} */ (fields))
+    entered.set(field.dataset.new ?? field.dataset.follows?.replace(/\.commanded$/, ""), numberOf(field.value));
+  return entered;
 }
 
 /** The present setpoint of a unit; 0 while it stands, NaN while it is not known.
@@ -211,10 +212,10 @@ export function drawTenths(before, section) {
   return Math.sign(tenths) * Math.round(Math.abs(tenths));
 }
 
-/** @param {HTMLElement} place */
-function showDraw(place) {
+/** @param {HTMLElement} place @param {Map<string, number>} byUnit */
+function showDraw(place, byUnit) {
   const units = (place.dataset.draw ?? "").split(" ");
-  const entered = units.map(enteredFor);
+  const entered = units.map((unit) => byUnit.get(unit) ?? Number.NaN);
   const [before, section] = units.map((unit, at) => (Number.isNaN(entered[at]) ? presentOf(unit) : entered[at]));
   // Of values that are old there is none.
   const isOld = units.some((unit) => !["online", undefined].includes(value(`${unit}.link`)));
@@ -229,7 +230,17 @@ function showDraw(place) {
 }
 
 function showDraws() {
-  for (const place of document.querySelectorAll("[data-draw]")) showDraw(place);
+  areDue = false;
+  const entered = enteredByUnit();
+  for (const place of document.querySelectorAll("[data-draw]")) showDraw(place, entered);
+}
+
+let areDue = false;
+
+/** Once for all units that a message changes. */
+function showDrawsSoon() {
+  if (!areDue) queueMicrotask(showDraws);
+  areDue = true;
 }
 
 /** @type {Set<string>} */
@@ -241,7 +252,7 @@ function listenForDraws() {
   for (const unit of places.flatMap(({ dataset }) => (dataset.draw ?? "").split(" "))) {
     if (drawnUnits.has(unit)) continue;
     drawnUnits.add(unit);
-    listen(unit, (_, changed) => ["setpoint", "actual", "link"].some((field) => field in changed) && showDraws());
+    listen(unit, (_, changed) => ["setpoint", "actual", "link"].some((field) => field in changed) && showDrawsSoon());
   }
 }
 

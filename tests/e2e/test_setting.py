@@ -414,6 +414,25 @@ def test_what_a_button_entered_is_kept_for_the_next_page_and_what_it_cleared_is_
     assert [field.input_value() for field in fields] == ["", ""]
 
 
+SEARCHES = """() => {
+  let searches = 0;
+  for (const name of ["querySelector", "querySelectorAll"]) {
+    const search = document[name];
+    document[name] = (selector) => { searches += 1; return search.call(document, selector); };
+  }
+  document.body.dispatchEvent(new Event("input", { bubbles: true }));
+  delete document.querySelector;
+  delete document.querySelectorAll;
+  return searches;
+}"""
+
+
+def test_draws_are_shown_without_a_search_for_each_unit(shared_page: OpensPages) -> None:
+    """With one for each of 255 units, the messages from them held the page up for good."""
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
+    assert page.evaluate(SEARCHES) < page.locator("[data-draw]").count()
+
+
 def test_a_parameter_sent_without_a_response_is_no_draft(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
