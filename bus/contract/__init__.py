@@ -52,6 +52,8 @@ from bus.contract.session import WorkerMessage as WorkerMessage
 from bus.contract.session import decode_from_app as decode_from_app
 from bus.contract.session import decode_from_worker as decode_from_worker
 from bus.contract.session import encode as encode
+from bus.contract.updates import FEW as FEW
+from bus.contract.updates import TROUBLED as TROUBLED
 from bus.contract.updates import BusFigures as BusFigures
 from bus.contract.updates import BusLink as BusLink
 from bus.contract.updates import FoundUnit as FoundUnit

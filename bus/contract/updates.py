@@ -114,6 +114,12 @@ class UnitState(TaggedStruct, frozen=True, tag="unit_state"):
     staged_unknown: bool = False
 
 
+TROUBLED = 0.1
+"""The part of its responses from which on a unit that misses or damages them has a fault."""
+FEW = 3
+"""The least number of events that are more than chance."""
+
+
 class UnitCounts(Struct, omit_defaults=True):
     """The counts of all requests to one unit since the worker started; the worker counts in it."""
 
@@ -126,6 +132,11 @@ class UnitCounts(Struct, omit_defaults=True):
     foreign: Total = 0
     late: Total = 0
     naks: Annotated[dict[Byte, Total], Meta(max_length=256)] = field(default_factory=dict)
+
+    def is_fault(self, events: int) -> bool:
+        """Return whether so many timeouts or damaged responses are a fault, by the threshold of the
+        diagnosis."""
+        return events >= FEW and events > TROUBLED * (self.responses + self.timeouts)
 
 
 # The subclass is frozen although its base counts: msgspec allows that, the rule is for dataclasses.

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import msgspec
 
 from bus.catalogue.parameters import OWN_ADDRESS
-from bus.contract import BusFigures, UnitFigures
+from bus.contract import FEW, TROUBLED, BusFigures, UnitFigures
 from bus.instants import Monotonic, UnixTime
 from bus.line.poll_schedule import PollSchedule
 from bus.line.roster import Roster, UnitRecord, WireCounts
@@ -144,10 +144,6 @@ def _symptoms_of(record: UnitRecord, before: UnitFigures, after: UnitFigures) ->
     )
 
 
-TROUBLED = 0.1
-"""The part of its responses from which on a unit that misses or damages them has a fault."""
-FEW = 3
-"""The least number of events that are more than chance."""
 MANY = 3
 """The least number of units from which one can be distinguished from all others."""
 LATE_PART = 0.05

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from bus.catalogue.parameters import BAUD_RATE
-from bus.contract import Action, BusFigures, ReadParameters, SetLine, SetSpeed
+from bus.contract import Action, BusFigures, ReadParameters, SetLine, SetSpeed, UnitFigures
 from bus.contract.actions import POLL_BYTES
 from bus.instants import Monotonic
 from bus.line.arbiter import COMMANDS_AT_A_STRETCH_S
@@ -30,6 +30,13 @@ def test_three_within_two_seconds_are_another_host_and_ten_seconds_without_are_i
     host.note(Monotonic(9.0))
     assert host.is_present(Monotonic(9.0 + CLEAR_AFTER_S - 0.1))
     assert not host.is_present(Monotonic(9.0 + CLEAR_AFTER_S))
+
+
+def test_a_few_timeouts_of_many_requests_are_no_fault() -> None:
+    figures = UnitFigures(unit=1, responses=970, timeouts=30)
+    assert not figures.is_fault(figures.timeouts)
+    assert figures.is_fault(101)
+    assert not UnitFigures(unit=1, responses=1, timeouts=1).is_fault(1)
 
 
 def test_a_request_explains_one_response() -> None:
