@@ -159,6 +159,8 @@ interface Place {
   element: HTMLElement;
   home?: string;
   twin: string;
+  /** What it is in, from the nearest. */
+  around: HTMLElement[];
 }
 
 /** What htmx does for one element, as far as the scripts read or change it. */

@@ -122,6 +122,8 @@ function note(form, found, { at, isSent }) {
   line.dataset.draft = "";
   const button = document.createElement("button");
   button.type = "button";
+  // No other button is taken for it once it is gone (focus.js).
+  button.name = "discard";
   button.className = "button";
   button.textContent = word("draftDiscard");
   button.addEventListener("click", () => {

@@ -5,7 +5,7 @@ import { fieldsOf, listen, rebind, value } from "./bind.js";
 import * as clock from "./clock.js";
 import { reveal } from "./element.js";
 import { giveBack } from "./focus.js";
-import { isLive } from "./live.js";
+import { isLive, timeOfDay } from "./live.js";
 import { word } from "./words.js";
 
 const LAPSE_MS = 30_000;
@@ -128,12 +128,13 @@ function end(form, reason) {
   if (form.dataset.pending !== undefined || form.dataset.ended !== undefined) return;
   form.dataset.ended = "";
   const strip = stripOf(form);
+  const text = `${timeOfDay(clock.now())} · ${reason}`;
   if (strip) {
-    explain(strip, reason);
+    explain(strip, text, form.dataset.unanswered === undefined ? "unsent" : "");
     return dismiss();
   }
   const words = form.querySelector("[data-review-end]");
-  words.textContent = reason;
+  words.textContent = text;
   words.hidden = false;
   form.querySelector("[data-review-act]")?.remove();
   form.querySelector("[data-lapse]")?.parentElement?.remove();
@@ -226,6 +227,7 @@ function mark(source, isBusy) {
  * Escape, and by a press elsewhere. What is typed stays. @param {Event} event */
 function forget(event) {
   if (event instanceof KeyboardEvent && event.key !== "Escape") return;
+  if (event.type === "input") document.querySelector("[data-review-end=unsent]")?.remove();
   const cell = /** @type {Element} */ (event.target).closest(".parameters__new");
   // Beside a field of many it keeps its place, so that no field below moves.
   const beside = /** @type {Element} */ (event.target).closest("td")?.querySelector(".batch-error");
@@ -240,11 +242,11 @@ function forget(event) {
   }
 }
 
-/** @param {HTMLElement | null} strip @param {string} reason */
-function explain(strip, reason) {
+/** @param {HTMLElement | null} strip @param {string} reason @param {string} [kind] "unsent" is over once a field changes */
+function explain(strip, reason, kind = "") {
   const words = document.createElement("p");
   words.className = "field__error";
-  words.dataset.reviewEnd = "";
+  words.dataset.reviewEnd = kind;
   words.textContent = reason;
   // A part of a table is no place for words; its status is.
   const place = strip?.matches("[role=status]") ? strip : strip?.querySelector("[role=status]");
@@ -353,7 +355,6 @@ export function start() {
   document.addEventListener("htmx:after:swap", (event) => {
     rebind();
     document.dispatchEvent(new CustomEvent("lineside:changed"));
-    giveBack();
     const { target: named, sourceElement: source } = event.detail.ctx;
     const target = typeof named === "string" ? document.querySelector(named) : named;
     if (target?.matches(PLACE)) opened(target, source);
