@@ -130,11 +130,15 @@ class PageContext:
 
     def explanation(self, reason: Message) -> str:
         """Return a reason in the reader's language."""
-        return self.translator.t(reason)
+        return self.translator.t(self.named(reason))
+
+    def named(self, message: Message) -> Message:
+        """Return a message with the names of the units that it is about, where the page is about a bus."""
+        return message
 
     def refused(self, problem: Problem, title: str) -> Response:
         """Render the end of a review that sent nothing, in the dialog."""
-        outcome, controlled = OutcomeText("bad", problem.message), _controlled(problem)
+        outcome, controlled = OutcomeText("bad", self.named(problem.message)), _controlled(problem)
         return self.render(
             "unit/_done.html", title=title, outcome=outcome, controlled=controlled, status=problem.status
         )
@@ -283,9 +287,6 @@ class BusPage(PageContext):
         is_local = obstacle is not None and obstacle.code == "obstacle_not_in_remote"
         return Message.of("outsider_in_local" if is_local else "outsider_silent", name=self.name_of(unit))
 
-    def explanation(self, reason: Message) -> str:
-        return super().explanation(self.named(reason))
-
     def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """Render the result of a command, in place. ``setpoint``: the requested value, its live field, its
         undo."""
@@ -294,7 +295,7 @@ class BusPage(PageContext):
 
     def not_sent(self, problem: Problem) -> Response:
         """Render the result of a confirmed review that sent nothing."""
-        outcome = OutcomeText("bad", problem.message)
+        outcome = OutcomeText("bad", self.named(problem.message))
         return self.result(outcome, status=problem.status, controlled=_controlled(problem))
 
     def change(self, unit: int, raw: int, typed_with: UnitScale | None = None) -> SetpointChange:

@@ -25,7 +25,7 @@ from app.core.web.access import Person
 from app.core.web.arrival import Deadline
 from app.errors import Problem, StoreError
 from app.line.commands.catalogue import kind_of_command
-from app.line.commands.values import Scales, Wording, reworded
+from app.line.commands.values import Scales, Wording, reworded, with_names
 from app.line.live.bus_live import BusLive
 from app.people.audit.acts import Act
 from app.people.audit.entry import KeyRing
@@ -205,13 +205,13 @@ class CommandRecord:
         try:
             if intent.parts:
                 await self._events.conclude_together(
-                    _outcomes(intent, result),
+                    _outcomes(intent, result, live),
                     {intent.parts[unit]: changed for unit, changed in part_texts.items()},
                 )
             await self._events.conclude(
                 intent.event,
                 result.outcome,
-                result.message or "",
+                _named(result, live),
                 result.frames,
                 lambda store: end_key(store, request, result),
                 texts,
@@ -227,7 +227,8 @@ class CommandRecord:
         """Record a rejected command with the reason."""
         words = kind_of_command(request.action).wording(request.action, live)
         entry = _entry(request, request.action.only_unit, words)
-        await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.message)
+        message = with_names(problem.message, live)
+        await self._events.record(kind="command", **entry, outcome=problem.code, message=message)
 
 
 def _entry(request: CommandRequest, unit: int | None, words: Wording) -> dict[str, Any]:
@@ -251,9 +252,13 @@ def _origin(request: CommandRequest) -> str | Message:
     return Message.of("origin_token", origin=origin)
 
 
-def _outcomes(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str | Message]]:
-    by_unit = {part.unit: (part.outcome, part.message or "") for part in result.units}
-    group = (result.outcome, result.message or "")
+def _named(result: Result | UnitOutcome, live: BusLive) -> str | Message:
+    return with_names(result.message, live) if result.message else ""
+
+
+def _outcomes(intent: Intent, result: Result, live: BusLive) -> dict[int, tuple[Outcome, str | Message]]:
+    by_unit = {part.unit: (part.outcome, _named(part, live)) for part in result.units}
+    group = (result.outcome, _named(result, live))
     return {event: by_unit.get(unit, group) for unit, event in intent.parts.items()}
 
 

@@ -130,7 +130,8 @@ async def test_a_long_command_is_given_up_when_it_may_not_go_on(
     await worker.update(result_of(command, "not_sent", message=term("given up: every unit is back")))
     assert str((await sending).message) == f"{reason}; given up: every unit is back"
     event = next(event for event in await commands(site) if event["unit"] is None)
-    assert (event["outcome"], event["message"]) == ("not_sent", f"{reason}; given up: every unit is back")
+    named = reason.replace("unit 2", "Unit 2")
+    assert (event["outcome"], event["message"]) == ("not_sent", f"{named}; given up: every unit is back")
 
 
 async def test_a_person_ends_a_scan_of_another_and_is_named(site: House, worker: PlayedWorker) -> None:
@@ -170,7 +171,7 @@ async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
     assert (result.outcome, str(result.message)) == ("not_sent", reasons[0])
     assert worker.commands == []
     event = (await commands(site))[-1]
-    assert (event["outcome"], event["message"]) == ("not_sent", reasons[0])
+    assert (event["outcome"], event["message"]) == ("not_sent", reasons[0].replace("unit 2", "Unit 2"))
 
 
 async def test_checking_alone_sends_and_writes_nothing(site: House, worker: PlayedWorker) -> None:
