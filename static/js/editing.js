@@ -68,6 +68,8 @@ function followDrawers() {
   if (shown) history.replaceState(null, "", shown.dataset.reloadAs);
   const opened = /** @type {HTMLElement | null} */ (document.querySelector("[popover][data-opened]"));
   if (opened) fill(opened);
+  document.addEventListener("toggle", entered, { capture: true });
+  document.addEventListener("focusout", left);
   document.addEventListener("htmx:after:swap", ({ detail: { ctx } }) => {
     const drawer = typeof ctx.target === "string" ? document.querySelector(ctx.target) : ctx.target;
     if (drawer?.matches(".drawer")) fill(/** @type {HTMLElement} */ (drawer));
@@ -80,10 +82,29 @@ function followDrawers() {
   });
 }
 
+/** The focus goes into a drawer that opens, so that a screen reader reads its title.
+ * @param {Event} event */
+function entered(event) {
+  const drawer = /** @type {HTMLElement} */ (event.target);
+  if (drawer.matches(".drawer:popover-open") && !drawer.contains(document.activeElement)) focusFirst(drawer);
+}
+
+/** What a drawer covers cannot have the focus: the drawer closes, and keeps what is typed in it.
+ * @param {FocusEvent} event */
+function left({ target, relatedTarget }) {
+  const drawer = /** @type {HTMLElement | null} */ (/** @type {Element} */ (target).closest(".drawer:popover-open"));
+  if (drawer && relatedTarget && !drawer.contains(/** @type {Node} */ (relatedTarget))) drawer.hidePopover();
+}
+
 /** The browser gives the focus back to what has opened a drawer once it is closed.
  * @param {HTMLElement} drawer */
 function fill(drawer) {
   if (!drawer.matches(":popover-open")) drawer.showPopover();
+  focusFirst(drawer);
+}
+
+/** @param {HTMLElement} drawer */
+function focusFirst(drawer) {
   drawer.scrollTop = 0;
   const first = drawer.querySelector("[aria-invalid]") ?? drawer.querySelector("[autofocus]") ?? drawer.querySelector("button");
   /** @type {HTMLElement | null} */ (first)?.focus();

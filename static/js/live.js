@@ -18,6 +18,8 @@ const VERIFY_MS = 500;
 const [ALTERED_TIMES, ALTERED_MS] = [4, 10_000];
 const RELOADED = "reloaded-for";
 const TOO_MANY = 429;
+/** The close code of a right that was withdrawn; see app/people/auth/identify.py. */
+const NO_LONGER_SIGNED_IN = 4401;
 const RETRY_MS = [200, 500, 1000, 2000];
 
 const body = document.body;
@@ -63,9 +65,11 @@ function open() {
     sendInterest();
   };
   mine.onmessage = (event) => socket === mine && receive(JSON.parse(event.data));
-  mine.onclose = () => {
+  mine.onclose = ({ code }) => {
     if (socket !== mine) return;
     socket = null;
+    // The page of the new role, or the one to log in; what is typed is kept as a draft. A pending command has its say first.
+    if (code === NO_LONGER_SIGNED_IN && !document.querySelector("[data-pending]")) return location.reload();
     onLost("closed");
     if (respondsByHttp) cause = "sockets";
     again();

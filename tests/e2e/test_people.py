@@ -510,3 +510,26 @@ def test_a_drawer_that_was_refused_opens_again_with_what_was_typed(shared_page: 
     page.get_by_role("button", name="Add the user").click()
     expect(page.locator("#add-user [role=alert]")).to_be_visible()
     expect(name).to_have_value("two words")
+
+
+def test_a_drawer_takes_the_focus_and_closes_when_it_leaves(shared_page: OpensPages) -> None:
+    page = shared_page("admin")
+    page.goto("/users")
+    drawer = page.get_by_role("dialog", name="Add a user")
+    page.get_by_role("button", name="Add a user").press("Enter")
+    expect(drawer.locator(":focus")).to_have_count(1)
+    drawer.get_by_label("Name").fill("karin")
+    drawer.get_by_role("button", name="Add the user").focus()
+    page.keyboard.press("Tab")
+    expect(drawer).to_be_hidden()
+    page.get_by_role("button", name="Add a user").press("Enter")
+    expect(drawer.get_by_label("Name")).to_have_value("karin")
+
+
+def test_a_page_whose_person_logged_out_elsewhere_leads_to_the_login_page(
+    browser_page: OpensPages,
+) -> None:
+    page = opened(browser_page("operator", viewport=PANEL), "/units/line/3")
+    page.evaluate("void fetch('/logout', { method: 'POST' })")
+    page.wait_for_url("**/login?next=/units/line/3")
+    expect(page.locator(".main")).not_to_contain_text("button")

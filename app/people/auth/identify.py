@@ -260,11 +260,12 @@ async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -
 
 def _to_login(connection: HTTPConnection) -> Response:
     """Redirect a person to the login page, which leads back; htmx moves the complete page."""
+    is_page = connection.scope["method"] in ("GET", "HEAD")
     if is_fragment(connection):
         response = problem_json(not_signed_in())
-        response.headers["HX-Redirect"] = _login_url(_page_of(connection), refused=True)
+        # A page fetches parts of itself without a button.
+        response.headers["HX-Redirect"] = _login_url(_page_of(connection), refused=not is_page)
         return response
-    is_page = connection.scope["method"] in ("GET", "HEAD")
     query = connection.url.query
     where = connection.url.path + (f"?{query}" if query else "")
     url = _login_url(where if is_page else _page_of(connection), refused=not is_page)

@@ -289,6 +289,8 @@ async def test_a_session_that_is_over(house: House, monkeypatch: pytest.MonkeyPa
         "/login?next=/units/dry-end/1%3Fx%3D1&refused=true",
     )
     assert "nothing was sent" in (await client.get(swapped.headers["hx-redirect"])).text
+    fetched = await client.get("/bus/line/tray/strip", headers=fragment)
+    assert fetched.headers["hx-redirect"] == "/login?next=/units/dry-end/1%3Fx%3D1"
     assert "nothing was sent" not in (await client.get(page.headers["location"])).text
     posted = await client.post("/account/language", data={"language": "de"}, headers={"accept": "text/html"})
     assert (posted.status_code, posted.headers["location"]) == (303, "/login?refused=true")
