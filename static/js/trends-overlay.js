@@ -15,9 +15,9 @@ const PRIORITIES = ["urgent", "high", "medium", "low"];
 const ROWS_OF_PRIORITY = 2;
 /** @param {number} chart */
 const mostRows = (chart) => (chart < 400 ? 4 : 8);
-/** Pixels of a letter of the names of alarms, of what keeps them off a mark, and how many letters of a place are enough where there
- * is no room for all. */
-const [LETTER, OFF, LEAST_LETTERS] = [7, 15, 2];
+/** Pixels of a letter of the names of alarms, of what keeps them off a mark, how many letters of a place are enough where there is no
+ * room for all, and of all in a row that would have no name. */
+const [LETTER, OFF, LEAST_LETTERS, LEAST_OF_ALL] = [7, 15, 2, 14];
 /** Which of the places of a name is on the line of its alarm. */
 const ON_LINE = 2;
 /** Percent from one mark of a row to the next that is drawn: nearer ones would hide each other. */
@@ -40,6 +40,12 @@ export function placed(alarms, [from, to], { chart, beside }) {
   const right = 100 + (100 * Math.max(0, beside - OFF / 3)) / chart;
   /** @param {number} letters @param {number} marks beside it */
   const width = (letters, marks) => (100 * (letters * LETTER + marks * OFF)) / chart;
+  /** Where a name of one of these lengths has room, whatever else is there.
+   * @param {{ x: number, end: number }} mark @param {number[]} lengths */
+  const namesOf = ({ x, end }, lengths) =>
+    lengths
+      .flatMap((letters) => /** @type {Span[]} */ ([[end, end + width(letters, 2)], [x - width(letters, 1), x], [x, x + width(letters, 2)]]))
+      .filter(([a, b], place) => a >= 0 && b <= (place % 3 === ON_LINE ? end : right));
   const shown = alarms.map((alarm, index) => ({ ...alarm, index })).filter(({ t, until }) => t < to && (until ?? to) > from);
   let first = 0;
   let spare = mostRows(chart) - new Set(shown.map(({ priority }) => priority)).size;
@@ -54,9 +60,7 @@ export function placed(alarms, [from, to], { chart, beside }) {
       const label = [alarm.place, alarm.name].filter(Boolean).join(" · ");
       const [x, end] = [percent(alarm.t), percent(alarm.until ?? to)];
       const least = label.length - Math.max(0, label.lastIndexOf(" · ") - LEAST_LETTERS);
-      const names = [label.length, least]
-        .flatMap((letters) => /** @type {Span[]} */ ([[end, end + width(letters, 2)], [x - width(letters, 1), x], [x, x + width(letters, 2)]]))
-        .filter(([a, b], place) => a >= 0 && b <= (place % 3 === ON_LINE ? end : right));
+      const names = namesOf({ x, end }, [label.length, least]);
       const numbers = [...rows.keys(), rows.length].slice(0, most);
       const spots = numbers.flatMap((number) => names.map((name) => ({ number, name })));
       /** @param {number} number @param {Span} span @param {boolean} overNames */
@@ -77,6 +81,14 @@ export function placed(alarms, [from, to], { chart, beside }) {
         if (other.named && (meet(other.named, [x, end]) || (name && meet(other.named, name)))) other.named = null;
       }
       row.push({ ...alarm, row: first + number, x, end, label, named: name });
+    }
+    // A mark that has given its room to a later one may have other room; a row without any name has one that is cut.
+    for (const mark of rows.flat()) {
+      const row = rows[mark.row - first] ?? [];
+      if (row.some(({ named, label }) => named && label === mark.label)) continue;
+      const others = row.filter((other) => other !== mark).flatMap(({ x, end, named }) => /** @type {Span[]} */ ([[x, end], ...(named ? [named] : [])]));
+      const cut = row.some(({ named }) => named) ? [] : [LEAST_OF_ALL];
+      mark.named ??= namesOf(mark, [mark.label.length, ...cut]).find((name) => !others.some((other) => meet(name, other))) ?? null;
     }
     for (const row of rows) for (const mark of row) if (mark.named) mark.named = grown(mark, row, width(mark.label.length + 2, 2), right);
     first += rows.length;

@@ -52,6 +52,14 @@ test("an active alarm is named before cleared ones, on its line where that takes
   assert.deepEqual(names([alarm("high", 90, null)]), [[0, [0, 11]]]);
 });
 
+test("a row beside which there is room has a name, where need be cut, also where the same alarm came again", () => {
+  const phone = { chart: 248, beside: 34 };
+  const place = "Verzug außerhalb seines Bandes";
+  const rows = names([alarm("medium", 177, 178, "Coater", place), alarm("medium", 197, 198, "Coater", place)], phone);
+  assert.ok(rows.some(([, named]) => named), JSON.stringify(rows));
+  assert.ok(names([alarm("high", 160, null, "Coater", place)], phone)[0][1]);
+});
+
 test("the marks of a phone take no more than four rows", () => {
   const many = ["urgent", "high", "medium", "low"].flatMap((priority) => [alarm(priority, 110, 150), alarm(priority, 120, null)]);
   assert.equal(alarmRows(many, [100, 200], { chart: 240, beside: 34 }), 4);
