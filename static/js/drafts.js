@@ -39,13 +39,13 @@ function write(drafts) {
 }
 
 /** The address of a form without the moment of the press (review.js), and what it is about: a bus, a parameter of many
- * units, a note that is corrected.
+ * units, a note that is corrected, the alarm or the unit whose page led to a note.
  * @param {HTMLFormElement} form */
 const keyOf = (form) => {
   const address = (form.getAttribute("hx-post") ?? form.action).replace(STAMP, "");
   /** @type {NodeListOf<HTMLInputElement>} */
   const about = form.querySelectorAll("input[type=hidden]:is([name=bus], [name=number], [name=corrects])");
-  return [account, location.pathname, address, ...Array.from(about, ({ value }) => value)].join(" ");
+  return [account, location.pathname, address, ...Array.from(about, ({ value }) => value), form.dataset.about].join(" ").trim();
 };
 
 /** A form that only filters, or is part of a review, has none; nor has a field that is not sent or is a secret.
