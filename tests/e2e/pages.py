@@ -113,6 +113,7 @@ NO_PAGES = frozenset(
         *("/bus/{bus}/undo/{id}", "/bus/{bus}/units", "/configuration/bus/{index}/scan", "/control"),
         *("/favicon.ico", "/healthz", "/help/pictures/{name}", "/line/zero", "/live", "/login/oidc"),
         *("/login/oidc/callback", "/manifest.webmanifest", "/metrics", "/recipes/{recipe_id}/review"),
+        "/recipes/{recipe_id}/retire",
         "/sets/golden",
         *("/shifts/pictures/{digest}", "/shifts/present", "/static/{version}/{name:path}", "/sw.js"),
         *("/swap/{bus}/{unit}/look", "/tray/strip", "/units/{bus}/{unit:int}/execute"),

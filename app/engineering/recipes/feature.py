@@ -37,7 +37,7 @@ from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
 from bus.instants import unix_now
 from bus.messages import Message
-from bus.validation import Lines, OneLine, TypedText
+from bus.validation import Lines, OneLine
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
@@ -185,15 +185,18 @@ async def load(
     return proven(of_bus, setpoints, result, confirmed.id, left_out)
 
 
-@router.post("/recipes/retire")
-async def retire(
-    person: Annotated[Person, DELETE.permitted],
-    book: Book,
-    bus: Annotated[str, Form()],
-    name: Annotated[TypedText, Form()],
+@router.get("/recipes/{recipe_id}/retire")
+async def review_retirement(
+    request: Request, _: Annotated[Person, DELETE.permitted], recipe: KnownRecipe
 ) -> Response:
+    """Show a review of taking a recipe out of the list."""
+    return render(request, "recipes/_review_retire.html", recipe=recipe)
+
+
+@router.post("/recipes/{recipe_id}/retire")
+async def retire(person: Annotated[Person, DELETE.permitted], book: Book, recipe: KnownRecipe) -> Response:
     """Take a recipe out of the list; its versions stay on record."""
-    await book.retire(person, bus, name)
+    await book.retire(person, recipe.bus, recipe.name)
     return RedirectResponse("/recipes", 303)
 
 

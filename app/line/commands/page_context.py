@@ -267,17 +267,18 @@ class BusPage(PageContext):
     def in_words(self, result: AnyResult) -> AnyResult:
         """Return a result whose messages name the units, and show their speeds as they do."""
         parts = [self.in_words(part) for part in result.units] if isinstance(result, Result) else None
-        message = None if result.message is None else self.named(result.message)
+        unit = result.unit if isinstance(result, UnitOutcome) else None
+        message = None if result.message is None else self.named(result.message, unit)
         return replace_fields(result, message=message, **({} if parts is None else {"units": parts}))
 
-    def named(self, message: Message) -> Message:
+    def named(self, message: Message, unit: int | None = None) -> Message:
         """Return a message of the worker with the names of the units; one about a unit outside a change says
-        what a person can do."""
+        what a person can do. ``unit``: the one of whose part in a change it is."""
         reason = message.params.get("reason")
         if isinstance(reason, Message) and reason.code in _OUTSIDERS:
             unit = reason.params.get("unit")
             return self.would_move(unit) if isinstance(unit, int) else message
-        return with_names(message, self.bus)
+        return with_names(message, self.bus, unit)
 
     def would_move(self, unit: int) -> Message:
         """Return the message that names a unit that a change of other units would move too, with what a

@@ -253,7 +253,8 @@ def _origin(request: CommandRequest) -> str | Message:
 
 
 def _named(result: Result | UnitOutcome, live: BusLive) -> str | Message:
-    return with_names(result.message, live) if result.message else ""
+    unit = result.unit if isinstance(result, UnitOutcome) else None
+    return with_names(result.message, live, unit) if result.message else ""
 
 
 def _outcomes(intent: Intent, result: Result, live: BusLive) -> dict[int, tuple[Outcome, str | Message]]:

@@ -15,12 +15,15 @@ from app.core.server.tls import Encryption
 from app.core.web.access import Viewer
 from app.core.web.routes import SEARCH, GuardedRoute
 from app.core.web.templating import render
+from app.errors import Problem
 from app.feature import Feature, Services
 from app.line.alarms.alarm import Alarm
 from app.line.alarms.line_alarms import SiteAlarms
 from app.line.history.status import MAX_DAYS
 from app.people.audit.anchor import EVERY_S, Anchoring
+from app.people.auth.single_sign_on import SingleSignOn
 from app.system.backup.service import Backups
+from app.system.configuration.service import ConfigurationFile
 from app.system.mqtt.session import Nodes
 from app.system.opcua.settings import OpcuaProcesses
 from app.system.peers.board import LineTiles
@@ -58,6 +61,8 @@ async def system_rows(services: Services, now: UnixTime, monotonic: Monotonic) -
         _alarmed(services, await _disk(services, now), "history_degraded", "disk_low"),
         _alarmed(services, _plant_database(services, now), "publisher_day_behind", "publisher_behind"),
         _alarmed(services, _certificate(services), "certificate_expiring"),
+        *await _configuration(services),
+        *_company_accounts(services),
         *_marked(services, _nodes(services, now), "broker_lost"),
         *_marked(services, _opcua(services, now), "opcua_lost"),
         *_peers(services, now, monotonic),
@@ -149,7 +154,31 @@ def _plant_database(services: Services, now: UnixTime) -> SystemRow:
             name, Message("system_not_set_up"), to_do=Message("system_set_database"), help=chapter
         )
     status = services[Publisher].status
-    return SystemRow(name, status.state(now), status.until, Message("system_always"), help=chapter)
+    check = Message("system_check_database") if status.fault else None
+    last = status.until if status.rows or not status.fault else None
+    return _link(name, status.state(now), last, status.fault, check, chapter)
+
+
+def _company_accounts(services: Services) -> Iterator[SystemRow]:
+    sign_on = services[SingleSignOn]
+    if sign_on.settings is not None:
+        state = sign_on.fault or Message("system_provider_responds")
+        check = Message("system_check_provider") if sign_on.fault else None
+        name = Message("system_company_accounts")
+        yield _link(name, state, None, sign_on.fault, check, "company-accounts")
+
+
+async def _configuration(services: Services) -> Iterable[SystemRow]:
+    try:
+        present = await services[ConfigurationFile].present()
+    except Problem:
+        return []  # The server was started without a file, or its page says why it cannot be read.
+    if present.is_running:
+        return []
+    state, to_do = Message("system_configuration_waits"), Message("system_restart")
+    return [
+        SystemRow(Message("system_configuration"), state, to_do=to_do, help="configuration", is_faulty=True)
+    ]
 
 
 def _link(

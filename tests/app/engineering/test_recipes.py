@@ -327,6 +327,17 @@ async def test_the_name_of_a_unit_is_no_word_of_the_page(house: House) -> None:
     assert '<th scope="row">Line</th>' in page.text
 
 
+async def test_a_recipe_is_retired_after_a_review(house: House) -> None:
+    responding(house.services[LiveState])
+    recipe = await recipe_of(house, "board", 500)
+    person = await house.signed_in(Role.ENGINEER)
+    review = await person.get(f"/recipes/{recipe.id}/retire", headers={"hx-request": "true"})
+    assert "can no longer be loaded" in review.text
+    assert "board" in (await person.get("/recipes")).text
+    await person.post(f"/recipes/{recipe.id}/retire")
+    assert "No recipe is saved yet" in (await person.get("/recipes")).text
+
+
 async def test_programs_see_what_a_load_would_do_and_what_departed(house: House) -> None:
     bus = house.services[LiveState].buses["dry-end"]
     bus.apply([ParameterValue(unit=1, number=number, at=1, raw=raw) for number, raw in ((3, 1), (8, 0))])

@@ -308,6 +308,8 @@ def test_a_page_names_the_units_and_shows_their_speeds_in_what_the_worker_says()
         f"{name}: its commanded speed reads 110.0 m/min; 120.0 m/min may still be staged in it; "
         f"no unit was changed; may still be staged in {name}, 250"
     )
+    taken_back = Message.of("staged_withdrawn", present=1200)
+    assert "(120.0 m/min)" in str(with_names(taken_back, bus, 1))
     silent = Message.of("no_unit_changed", reason=Message.of("unit_no_response", unit=1))
     in_german = translator("de").t(with_names(silent, bus))
     assert in_german.endswith("hat nicht geantwortet; kein Regler wurde geändert")

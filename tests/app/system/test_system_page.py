@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import AsyncMock
 
 from app.core.web.access import Role
 from app.line.alarms.line_alarms import SiteAlarms
 from app.people.audit.anchor import Anchoring
+from app.people.auth.single_sign_on import SingleSignOn
 from app.system.backup.service import Backups
 from app.system.backup.settings import BackupSettings
+from app.system.postgresql.publisher import Publisher
 from app.system.state.feature import SystemRow, system_rows
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
+from tests.app.plant_database import write_configuration
 
 
 async def rows_of(house: House) -> dict[str, SystemRow]:
@@ -76,3 +82,32 @@ async def test_an_alarm_of_the_site_is_its_row(tmp_path: Path) -> None:
         )
         page = (await (await house.signed_in(Role.VIEWER)).get("/system")).text
         assert f'href="/alarms/{disk.alarm}"' in page
+
+
+async def test_a_plant_database_that_is_not_reached_is_marked_and_has_no_last_time(tmp_path: Path) -> None:
+    config = write_configuration(tmp_path, "postgresql://lineside@127.0.0.1:1/plant", "all")
+    async with complete_app(tmp_path, config=config) as house:
+        publisher = house.services[Publisher]
+        publisher.status = replace(publisher.status, fault=Message("publisher_unreachable"))
+        row = (await rows_of(house))["system_plant_database"]
+        assert (row.is_faulty, row.last, row.to_do) == (True, None, Message("system_check_database"))
+
+
+async def test_company_accounts_have_a_row_where_they_are_set_up(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        assert "system_company_accounts" not in await rows_of(house)
+        sign_on: Any = house.services[SingleSignOn]
+        sign_on.settings = object()
+        assert (await rows_of(house))["system_company_accounts"].state.code == "system_provider_responds"
+        sign_on.provider = SimpleNamespace(fault=Message("company_account_away"), close=AsyncMock())
+        row = (await rows_of(house))["system_company_accounts"]
+        assert (row.is_faulty, row.to_do) == (True, Message("system_check_provider"))
+
+
+async def test_a_configuration_that_waits_for_a_restart_has_a_row(tmp_path: Path) -> None:
+    config = write_configuration(tmp_path, "postgresql://lineside@127.0.0.1:1/plant", "all")
+    async with complete_app(tmp_path, config=config) as house:
+        assert "system_configuration" not in await rows_of(house)
+        config.write_text(config.read_text().replace("Mill 7", "Mill 8"))
+        row = (await rows_of(house))["system_configuration"]
+        assert (row.is_faulty, row.to_do) == (True, Message("system_restart"))
