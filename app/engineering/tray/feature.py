@@ -319,7 +319,9 @@ async def review_tray(page: PageOfBus) -> Response:
 
 @router.post("/bus/{bus}/tray/remove", dependencies=GATHERS)
 async def remove_from_tray(page: PageOfBus, place: Annotated[str, Form(max_length=40)] = "") -> Response:
-    """Remove one change or, without a place, all changes of the bus."""
+    """Remove one change or, with an empty place, all changes of the bus. Raise Problem 422 for a form without
+    one."""
+    await page.refuse_incomplete("place")
     tray = OwnTray(page)
     held, named = tray.changes, place_of(place)
     await tray.remove({each: raw for each, raw in held.items() if not place or each == named})

@@ -79,6 +79,13 @@ class PageContext:
         self.undoes = ""
         """The id of the command that the review undoes."""
 
+    async def refuse_incomplete(self, *names: str) -> None:
+        """Raise Problem 422 if the form lacks a field of these names: an empty one says something else."""
+        form = await self.request.form()
+        for name in names:
+            if name not in form:
+                raise Problem(422, "invalid", Message.of("form_incomplete", name=name))
+
     @property
     def person(self) -> Person:
         """The person with the grant of the request. Raises Problem 401."""
@@ -276,8 +283,8 @@ class BusPage(PageContext):
         what a person can do. ``unit``: the one of whose part in a change it is."""
         reason = message.params.get("reason")
         if isinstance(reason, Message) and reason.code in _OUTSIDERS:
-            unit = reason.params.get("unit")
-            return self.would_move(unit) if isinstance(unit, int) else message
+            outsider = reason.params.get("unit")
+            return self.would_move(outsider) if isinstance(outsider, int) else message
         return with_names(message, self.bus, unit)
 
     def would_move(self, unit: int) -> Message:

@@ -620,7 +620,9 @@ async def test_changes_are_removed_one_by_one_or_all(house: House) -> None:
     assert ROW.findall(review.text) == ["setpoint-2-0:1500:1000"]
     await post(house, "/bus/dry-end/tray/remove", place="setpoint-9-0")
     assert await review_rows(house) == ["setpoint-2-0:1500:1000"]
-    emptied = await post(house, "/bus/dry-end/tray/remove")
+    no_form = await house.clients[0].post("/bus/dry-end/tray/remove", json={"place": ""}, headers=OF_PAGE)
+    assert no_form.status_code == 422
+    emptied = await post(house, "/bus/dry-end/tray/remove", place="")
     assert "The change tray is empty" in emptied.text
 
 

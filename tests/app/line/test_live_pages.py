@@ -159,9 +159,20 @@ async def test_the_service_worker_keeps_only_the_offline_page(house: House) -> N
 
 async def test_refused_limits_are_explained_at_their_place_on_the_page(house: House) -> None:
     client = await house.program(Role.ENGINEER)
-    refused = await client.post("/units/dry-end/1/limits", data={"lowest": "5", "highest": "4"})
+    typed = {"lowest": "5", "highest": "4", "largest_step": "", "per_minute": ""}
+    refused = await client.post("/units/dry-end/1/limits", data=typed)
     assert (refused.status_code, refused.headers["hx-retarget"]) == (422, "#limits-result")
     assert 'id="limits-result"' in (await client.get("/units/dry-end/1")).text
+
+
+async def test_limits_stay_where_a_form_lacks_one(house: House) -> None:
+    client = await house.program(Role.ENGINEER)
+    limits = "/api/v1/buses/dry-end/units/1/limits"
+    await client.put(limits, json={"highest": 1200})
+    for body in ({"json": {"highest": 1400}}, {"content": b""}, {"data": {"highest": "140"}}):
+        refused = await client.post("/units/dry-end/1/limits", **body)
+        assert (refused.status_code, "lacks the field lowest" in refused.text) == (422, True)
+    assert (await client.get(limits)).json()["highest"] == 1200
 
 
 @for_each("header", ["Lineside-Clicked-At", "Lineside-Asked-At"])

@@ -94,7 +94,8 @@ async def set_limits(
     largest_step: TypedLimit = "",
     per_minute: TypedLimit = "",
 ) -> Response:
-    """Set all four limits at once; an empty field is no limit."""
+    """Set all four limits at once; an empty field is no limit. Raise Problem 422 for a form without one."""
+    await page.refuse_incomplete("lowest", "highest", "largest_step", "per_minute")
     try:
         typed = (_raw(page.unit, text) for text in (lowest, highest, largest_step, per_minute))
         limits = replace(Limits(*typed), decimals=setpoint_decimals(page.unit))
