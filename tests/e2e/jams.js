@@ -75,8 +75,10 @@
       if ((small || buttons) && Math.min(x, y) > -NEAR_PX && Math.max(x, y) > 0 && !isInline(element) && !isInline(other.element))
         found.add(`${nameOf(element)} is too near to ${nameOf(other.element)}`);
     }
+    // The present value stands in an empty field, and is not pressed.
+    const isHint = (text) => element.matches(":placeholder-shown") && getComputedStyle(text).pointerEvents === "none";
     for (const text of texts)
-      if (!related(element, text.element) && layer === text.layer && overlap(box, text.box))
+      if (!related(element, text.element) && !isHint(text.element) && layer === text.layer && overlap(box, text.box))
         found.add(`${nameOf(element)} lies on the text ${nameOf(text.element)}`);
     for (let up = element.parentElement; up && up !== document.body; up = up.parentElement) {
       const { overflowX, overflowY } = getComputedStyle(up);
