@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Annotated, Any, NamedTuple, cast, get_args
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Form, Query
 from pydantic import BaseModel, Field
@@ -162,12 +163,13 @@ async def store_own_alarm(
     try:
         if written["change"]:
             version = parse_integer(written["version"]) or 0
-            await own.change(person, written["change"], version, _kept(own, written["change"]) | keys)
+            kept = _kept(own, written["change"])
+            done = await own.change(person, written["change"], version, kept | keys)
         else:
-            await own.add(person, keys)
+            done = await own.add(person, keys)
     except Problem as problem:
         return _page(request, written, fault=problem)
-    return RedirectResponse("/alarms/own", SEE_OTHER)
+    return RedirectResponse("/alarms/own?" + urlencode({"done": done.key}), SEE_OTHER)
 
 
 @router.post("/alarms/own/remove")
@@ -198,6 +200,7 @@ def _page(
         "alarms/own.html",
         configured=[(each, alarms.place(each.bus, each.unit), added) for each, added in own.every()],
         left_aside=list(own.left_aside.values()),
+        done=request.query_params.get("done", ""),
         places=places,
         values=_values(request, written["place"] or (places[0][0] if places else "")),
         values_of={place: _values(request, place) for place in _places_of(own)},

@@ -219,7 +219,9 @@ async def test_the_page_adds_changes_and_removes_without_script(house: House) ->
     simulated = (await engineer.get("/alarms/own", params=FORM)).text
     assert 'name="above" value="105.0"' in simulated
     assert "Add alarm" in simulated
-    assert (await engineer.post("/alarms/own", data=FORM)).status_code == 303
+    added = await engineer.post("/alarms/own", data=FORM)
+    assert added.status_code == 303
+    assert "watched from now on" in (await engineer.get(added.headers["location"])).text
     book = house.services[OwnAlarmBook]
     (own,) = book.added.values()
     page = (await engineer.get("/alarms/own")).text
