@@ -34,10 +34,17 @@ const STEPS = 144;
 const LATE_MS = 250;
 const FIGURE_SPACE = "\u2007";
 
+/** The text that an element has, if it has nothing else: one that was put there anew would be read out again.
+ * @param {HTMLElement} element */
+function onlyText(element) {
+  const { firstChild: first, lastChild: last } = element;
+  return first && first === last && first.nodeType === 3 ? /** @type {Text} */ (first) : null;
+}
+
 /** @param {HTMLElement} element @returns {Write} */
 function textOf(element) {
-  let text = document.createTextNode(element.textContent);
-  element.replaceChildren(text);
+  let text = onlyText(element) ?? document.createTextNode(element.textContent);
+  if (element.firstChild !== text) element.replaceChildren(text);
   const empty = element.dataset.empty ?? UNKNOWN;
   const width = Number(element.dataset.width ?? 0);
   let written = text.data;

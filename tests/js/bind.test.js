@@ -43,3 +43,20 @@ test("only what an element shows is drawn: the time of a reading alone costs no 
   assert.equal(frames.length, 1);
   assert.equal(draw(), false);
 });
+
+test("a text that is bound again stays in its place: a live region reads what is put in anew", () => {
+  const text = { nodeType: 3, data: "5 alarms" };
+  const put = [];
+  const shown = {
+    dataset: { live: "alarms_present.active" },
+    firstChild: text,
+    lastChild: text,
+    replaceChildren: (each) => put.push(each),
+  };
+  document.querySelectorAll = (selector) => (selector === "[data-live]" ? [shown] : []);
+  rebind();
+  rebind();
+  replace({ alarms_present: { active: "5 alarms" } });
+  draw();
+  assert.deepEqual(put, []);
+});
