@@ -4,6 +4,7 @@ every number; in English and German.
 
 from __future__ import annotations
 
+import asyncio
 import re
 import time
 from collections.abc import AsyncIterator
@@ -20,8 +21,10 @@ from app.line.live.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, Reading, Staged, UnitLink
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA, HEALTHY, REMOTE, RUN, fresh, responding
+from tests.app.played_line import played_line
 from tests.for_each import for_each
 
+ACCELERATION = "/units/dry-end/1/parameters/6"
 NOTICE = re.compile(r'data-remark="(\w+)">.*?<p><b>([^<]*)</b>([^<]*)</p>', re.S)
 
 
@@ -282,11 +285,10 @@ async def test_a_ramp_of_nothing_is_warned_of_where_it_is_written(house: House) 
 async def test_a_parameter_that_another_person_has_written_meanwhile_is_not_overwritten(house: House) -> None:
     browser = await house.signed_in(Role.ENGINEER)
     report_parameter(house, 1, 6, 140)
-    review = await browser.post("/units/dry-end/1/parameters/6/review", data={"value": "12.0"})
-    fields = dict(re.findall(r'type="hidden" name="(\w+)" value="([^"]*)"', review.text))
+    fields = await reviewed_write(browser, "12.0")
     assert fields["was"] == "140"
     report_parameter(house, 1, 6, 200)
-    refused = await browser.post("/units/dry-end/1/parameters/6", data=fields)
+    refused = await browser.post(ACCELERATION, data=fields)
     assert (refused.status_code, "it is 20.0 now; nothing was sent" in refused.text) == (409, True)
     assert re.search(r'hx-target="#parameter-6-value"[^>]*><b>20\.0</b>', refused.text), "in its row too"
 
@@ -305,3 +307,41 @@ async def test_a_block_is_lifted_behind_a_review_of_that_block(house: House) -> 
     form = dict(re.findall(r'name="(\w+)" value="([^"]*)"', (await operator(house).get(lift)).text))
     assert (await operator(house).post(lift, data=form)).headers["HX-Redirect"] == "/units/dry-end/1"
     assert "felt off" in (await operator(house).get("/units/dry-end/1")).text
+
+
+async def reviewed_write(browser: httpx.AsyncClient, value: str) -> dict[str, str]:
+    """The form of a review of the acceleration of unit 1."""
+    return fields_of(await browser.post(f"{ACCELERATION}/review", data={"value": value}))
+
+
+def fields_of(review: httpx.Response) -> dict[str, str]:
+    return dict(re.findall(r'type="hidden" name="(\w+)" value="([^"]*)"', review.text))
+
+
+async def test_a_parameter_that_the_keypad_has_changed_meanwhile_is_not_overwritten(house: House) -> None:
+    line, browser = await played_line(house.services), await house.signed_in(Role.ENGINEER)
+    line.memory[1][6] = 33
+    form = await reviewed_write(browser, "1.0")
+    line.memory[1][6] = 44
+    refused = await browser.post(ACCELERATION, data=form)
+    assert (refused.status_code, "it is 4.4 now; nothing was sent" in refused.text) == (409, True)
+    assert line.written == []
+
+
+async def test_an_undo_does_not_overwrite_what_the_keypad_has_changed(house: House) -> None:
+    line, browser = await played_line(house.services), await house.signed_in(Role.ENGINEER)
+    done = await browser.post(ACCELERATION, data=await reviewed_write(browser, "1.0"))
+    undo = re.search(r"/bus/dry-end/undo/[\w-]+", done.text)
+    assert undo, done.text
+    form = fields_of(await browser.get(undo[0]))
+    line.memory[1][6] = 44
+    assert (await browser.post(ACCELERATION, data=form)).status_code == 409
+    assert line.written == [(1, 6, 10)]
+
+
+async def test_a_form_that_comes_twice_at_once_is_one_write_and_no_other_value(house: House) -> None:
+    line, browser = await played_line(house.services), await house.signed_in(Role.ENGINEER)
+    form = await reviewed_write(browser, "1.0")
+    answers = await asyncio.gather(*(browser.post(ACCELERATION, data=form) for _ in range(2)))
+    assert [each.status_code for each in answers] == [200, 200]
+    assert line.written == [(1, 6, 10)]
