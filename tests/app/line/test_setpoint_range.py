@@ -134,7 +134,8 @@ async def test_labels_agree_with_the_checks(house: House) -> None:
 
 async def test_an_engineer_s_limit_is_what_the_protocol_can_carry_at_most(house: House) -> None:
     browser = await house.signed_in(Role.ENGINEER)
-    response = await browser.post("/units/dry-end/1/limits", data={"highest": "10000.0"})
+    limits = {"lowest": "", "highest": "10000.0", "largest_step": "", "per_minute": ""}
+    response = await browser.post("/units/dry-end/1/limits", data=limits)
     assert "9999.9" in response.text
     assert house.services.buses["dry-end"][Safeguards].limits(1) == NO_LIMITS
 
