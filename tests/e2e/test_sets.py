@@ -188,6 +188,8 @@ def test_one_parameter_over_many_units(site: Site, shared_page: OpensPages) -> N
     unwind = page.locator("#batch-rows tr", has_text="Unwind")
     expect(unwind).to_contain_text("2.5")
     expect(unwind.get_by_role("textbox")).to_have_value("")
+    elsewhere = page.request.get(f"{site.url}/bus/line/undo").text()
+    assert "Up to Speed" not in elsewhere, "the undo of one of two units"
     strip.get_by_role("button", name="Undo: write the former values").click()
     page.get_by_role("button", name=re.compile("Write Up to Speed Tolerance to 2 units")).click()
     expect(unwind).not_to_contain_text("2.5")

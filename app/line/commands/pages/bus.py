@@ -239,9 +239,10 @@ def others(page: BusPage) -> list[str]:
 async def newest_undo(
     person: Viewer, page: PageOfBus, unit: int | None = None, kind: PlaceKind | None = None
 ) -> Response:
-    """Offer the undo of the newest command to ``unit``, of a ``kind`` if it is given, or without a unit to
-    the bus; nothing if there is none."""
-    units = page.bus.units.keys() if unit is None else {unit}
+    """Offer the undo of the newest command to ``unit``, of a ``kind`` if it is given; without a unit of the
+    newest change of setpoints of the bus, because a parameter may be one of several that were written
+    together. Nothing if there is none."""
+    units, kind = (page.bus.units.keys(), "setpoint") if unit is None else ({unit}, kind)
     offer = page.commands.undo.newest(person, units, kind, names_unit=unit is None)
     return page.render("components/_undo.html", undo=offer, kind=kind)
 
