@@ -221,6 +221,8 @@ async def compare_page(
     other = await side(right, sets, live) if right else None
     rows = compare(one.rows, other.rows, max(0, tolerance)) if one and other else []
     operating = [row for row in rows if row.number in OPERATING_VALUES and row.kind in DIFFERENT]
+    read_sides = [each for each in (one, other) if one and other and each and each.kind == "live"]
+    read = [row.read_at for each in read_sides for row in each.rows.rows.values() if row.read_at is not None]
     return render(
         request,
         "sets/compare.html",
@@ -228,6 +230,8 @@ async def compare_page(
         right=right,
         one=one,
         other=other,
+        read_sides=read_sides,
+        read_at=min(read, default=None),
         choices=choices(live, await sets.summaries()),
         tolerance=tolerance,
         everything=everything,

@@ -23,6 +23,7 @@ from bus.instants import unix_now
 from bus.messages import Message
 from tests.app.complete_app import House
 from tests.app.played_commands import ANNA, PlayedCommands, SetScene, a_bus, factory, responding
+from tests.app.played_line import played_line
 from tests.app.screens import translator
 
 NOON = datetime(2026, 3, 4, 12, tzinfo=UTC)
@@ -398,3 +399,19 @@ async def test_a_refusal_of_the_person_ends_it_and_one_of_a_unit_does_not(
     assert [isinstance(result.part, Problem) and result.part.code for result in results] == codes
     assert {str(getattr(result.part, "message", result.part)) for result in results} == {"no longer"}
     assert len(commands.sent) == codes.count(code)
+
+
+async def test_a_comparison_says_how_old_its_oldest_value_is_until_all_are_read(
+    house: House, client: httpx.AsyncClient
+) -> None:
+    await played_line(house.services)
+    for unit, at in ((1, NOON), (2, NOON + timedelta(hours=1))):
+        value = ParameterValue(unit=unit, number=6, at=at.timestamp(), raw=50)
+        house.services[LiveState].buses["dry-end"].apply([value])
+    address = "/sets/compare?left=live:dry-end:1&right=live:dry-end:2"
+    verdict = re.compile(r"<h1>[^·]*· as read at ([^<]*)<")
+    page = (await client.get(address)).text
+    assert verdict.findall(page)[0].endswith("12:00")
+    for read in re.findall(r'hx-post="(/units/[^"]*)"', page):
+        assert (await client.post(read)).headers["HX-Refresh"] == "true"
+    assert not verdict.findall((await client.get(address)).text)[0].endswith("12:00")

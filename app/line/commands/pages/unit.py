@@ -30,7 +30,7 @@ from app.line.commands.review import (
 )
 from app.line.commands.rules import parameter_bounds, setpoint_range
 from app.line.commands.safeguards import BLOCK, SET_LIMITS, UNBLOCK
-from app.line.commands.service import permitted, permitted_writer
+from app.line.commands.service import check_all_read, permitted, permitted_writer
 from app.line.commands.values import (
     analog_scale,
     measure_of_setpoint,
@@ -302,10 +302,13 @@ async def parameters(_: Viewer, page: PageOfUnit) -> Response:
 
 
 @parameters_router.post("/read", dependencies=[permitted(READ_PARAMETERS)])
-async def read_all(page: PageOfUnit) -> Response:
-    """Read all 40 parameters from the unit now."""
+async def read_all(page: PageOfUnit, reload: bool = False) -> Response:
+    """Read all 40 parameters from the unit now. ``reload``: for a page that shows them in its own way."""
     action = ReadParameters(unit=page.id, numbers=list(PARAMETERS))
     result = await page.commands.send(page.person, action, origin="page")
+    if reload:
+        check_all_read(page.id, action.numbers, result)
+        return Response(headers={"HX-Refresh": "true"})
     missing = len(PARAMETERS) - len(result.values)
     return page.render("unit/_parameters.html", missing=missing, **_table(page))
 
