@@ -370,17 +370,19 @@ class UsersPage:
         token: str = "",
         opened: str = "",
         typed: Mapping[str, str] | None = None,
-        added: str = "",
+        done: str = "",
+        name: str = "",
     ) -> HTMLResponse:
         """Show every user and every token. ``fault``: why a change was refused, with what was ``typed`` into
         the drawer ``opened``; ``token``: the secret of the token just created, ``token_name``, which is shown
-        once; ``added``: the user just added."""
+        once; ``done``: what was just done to the user ``name``."""
         return render(
             self.request,
             "users/page.html",
             status=422 if fault else 200,
             users=await self.accounts.users(),
-            added=added,
+            done=done,
+            name=name,
             tokens=await self.accounts.tokens(),
             roles=PEOPLE_ROLES,
             buses=self.accounts.buses,
@@ -393,10 +395,16 @@ class UsersPage:
         )
 
     async def after(
-        self, change: Awaitable[None], opened: str = "", added: str = "", **typed: str
+        self,
+        change: Awaitable[None],
+        done: str,
+        name: str,
+        opened: str = "",
+        typed: Mapping[str, str] | None = None,
     ) -> Response:
-        """Carry out a change and return to the page, which names who was ``added``. If the change is refused,
-        explain it on the page, in the drawer ``opened`` with what was ``typed``, or in the dialog."""
+        """Carry out a change and return to the page, which says that it was ``done`` to ``name``. If the
+        change is refused, explain it on the page, in the drawer ``opened`` with what was ``typed``, or in the
+        dialog."""
         in_dialog = is_fragment(self.request)
         try:
             await change
@@ -404,9 +412,8 @@ class UsersPage:
             if in_dialog:
                 raise
             return await self.render(fault=error, opened=opened, typed=typed)
-        if in_dialog:
-            return Response(headers={"HX-Redirect": "/users"})
-        return RedirectResponse(f"/users?{urlencode({'added': added})}" if added else "/users", 303)
+        url = f"/users?{urlencode({'done': done, 'name': name})}"
+        return Response(headers={"HX-Redirect": url}) if in_dialog else RedirectResponse(url, 303)
 
 
 Users = Annotated[
@@ -415,9 +422,9 @@ Users = Annotated[
 
 
 @router.get("/users")
-async def users_page(_: Admin, page: Users, added: str = "") -> HTMLResponse:
-    """Show every user and every token, and that the user ``added`` was added."""
-    return await page.render(added=added)
+async def users_page(_: Admin, page: Users, done: str = "", name: str = "") -> HTMLResponse:
+    """Show every user and every token, and what was just ``done`` to the user ``name``."""
+    return await page.render(done=done, name=name)
 
 
 @router.post("/users")
@@ -430,7 +437,7 @@ async def add_user(
 ) -> Response:
     """Add a person, who signs in by password."""
     change = page.accounts.add_user(name, role_named(role), password, by=by)
-    return await page.after(change, "add-user", composed(name), name=name, role=role)
+    return await page.after(change, "added", composed(name), "add-user", {"name": name, "role": role})
 
 
 @router.post("/users/panels")
@@ -445,9 +452,8 @@ async def add_panel(
     """Add a panel on the wall, which signs in by PIN; it is a viewer unless it is given another role."""
     role, begins = role_named(panel_role), home.strip() or "/"
     change = page.accounts.add_panel(panel, role, pin, begins, by=by)
-    return await page.after(
-        change, "add-panel", composed(panel), panel=panel, panel_role=panel_role, home=home
-    )
+    typed = {"panel": panel, "panel_role": panel_role, "home": home}
+    return await page.after(change, "added", composed(panel), "add-panel", typed)
 
 
 @router.post("/users/{name}/role")
@@ -455,19 +461,19 @@ async def set_role(
     by: Annotated[Person, SET_ROLE.permitted], page: Users, name: str, role: FormText = ""
 ) -> Response:
     """Change the role of a user."""
-    return await page.after(page.accounts.set_role(name, role_named(role), by=by))
+    return await page.after(page.accounts.set_role(name, role_named(role), by=by), "role", name)
 
 
 @router.post("/users/{name}/disable")
 async def disable(by: Annotated[Person, DISABLE_USER.permitted], page: Users, name: str) -> Response:
     """Disable a user; every session ends."""
-    return await page.after(page.accounts.set_disabled(name, True, by=by))
+    return await page.after(page.accounts.set_disabled(name, True, by=by), "disabled", name)
 
 
 @router.post("/users/{name}/enable")
 async def enable(by: Annotated[Person, ENABLE_USER.permitted], page: Users, name: str) -> Response:
     """Enable a user again."""
-    return await page.after(page.accounts.set_disabled(name, False, by=by))
+    return await page.after(page.accounts.set_disabled(name, False, by=by), "enabled", name)
 
 
 @router.post("/users/{name}/password")
@@ -475,7 +481,7 @@ async def reset_password(
     by: Annotated[Person, SET_PASSWORD.permitted], page: Users, name: str, password: FormText = ""
 ) -> Response:
     """Set a new password, or the PIN of a panel; every session of the user ends."""
-    return await page.after(page.accounts.set_password(name, password, by=by))
+    return await page.after(page.accounts.set_password(name, password, by=by), "password", name)
 
 
 @router.get("/users/{name}/remove")
@@ -491,7 +497,7 @@ async def review_removal(_: Admin, page: Users, name: str) -> HTMLResponse:
 @router.post("/users/{name}/remove")
 async def remove(by: Annotated[Person, REMOVE_USER.permitted], page: Users, name: str) -> Response:
     """Remove a user, whose actions stay in the events."""
-    return await page.after(page.accounts.remove_user(name, by=by))
+    return await page.after(page.accounts.remove_user(name, by=by), "removed", name)
 
 
 @router.post("/users/tokens")
@@ -526,7 +532,7 @@ async def review_revocation(_: Admin, page: Users, name: str) -> HTMLResponse:
 @router.post("/users/tokens/{name}/revoke")
 async def revoke_token(by: Annotated[Person, REVOKE_TOKEN.permitted], page: Users, name: str) -> Response:
     """Revoke a token, which is refused from the next request on."""
-    return await page.after(page.accounts.revoke_token(name, by=by))
+    return await page.after(page.accounts.revoke_token(name, by=by), "revoked", name)
 
 
 def _days(typed: str) -> int | None:
