@@ -407,7 +407,7 @@ def outcome_text(result: Result | UnitOutcome, shown: Callable[[int], str | Mess
     tone, code = _OUTCOMES[result.outcome]
     if result.message and result.message.code == "nothing_sent":
         return OutcomeText("bad", result.message)
-    if result.message and result.message.code == "scale_changed_since":
+    if result.message and result.message.code in ("scale_changed_since", "unit_gave_too_little"):
         return OutcomeText("unknown", result.message)
     if result.message and _explains(result):
         return OutcomeText(tone, result.message)

@@ -282,17 +282,6 @@ async def test_a_ramp_of_nothing_is_warned_of_where_it_is_written(house: House) 
     assert "50.0 <small>m/min</small>" in speed.text
 
 
-async def test_a_parameter_that_another_person_has_written_meanwhile_is_not_overwritten(house: House) -> None:
-    browser = await house.signed_in(Role.ENGINEER)
-    report_parameter(house, 1, 6, 140)
-    fields = await reviewed_write(browser, "12.0")
-    assert fields["was"] == "140"
-    report_parameter(house, 1, 6, 200)
-    refused = await browser.post(ACCELERATION, data=fields)
-    assert (refused.status_code, "it is 20.0 now; nothing was sent" in refused.text) == (409, True)
-    assert re.search(r'hx-target="#parameter-6-value"[^>]*><b>20\.0</b>', refused.text), "in its row too"
-
-
 async def test_a_block_is_lifted_behind_a_review_of_that_block(house: House) -> None:
     lift = "/units/dry-end/1/unblock"
     guards = house.services.buses["dry-end"][Safeguards]
@@ -322,10 +311,18 @@ async def test_a_parameter_that_the_keypad_has_changed_meanwhile_is_not_overwrit
     line, browser = await played_line(house.services), await house.signed_in(Role.ENGINEER)
     line.memory[1][6] = 33
     form = await reviewed_write(browser, "1.0")
+    assert form["was"] == "33"
     line.memory[1][6] = 44
     refused = await browser.post(ACCELERATION, data=form)
     assert (refused.status_code, "it is 4.4 now; nothing was sent" in refused.text) == (409, True)
+    assert re.search(r'hx-target="#parameter-6-value"[^>]*><b>4\.4</b>', refused.text), "in its row too"
     assert line.written == []
+
+
+async def test_a_parameter_that_cannot_be_read_before_its_write_is_not_written(house: House) -> None:
+    browser = await house.signed_in(Role.ENGINEER)
+    answer = await browser.post(ACCELERATION, data=await reviewed_write(browser, "1.0"))
+    assert "not sent: there is no link to the bus" in answer.text
 
 
 async def test_an_undo_does_not_overwrite_what_the_keypad_has_changed(house: House) -> None:

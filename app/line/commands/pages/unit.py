@@ -30,7 +30,7 @@ from app.line.commands.review import (
 )
 from app.line.commands.rules import parameter_bounds, setpoint_range
 from app.line.commands.safeguards import BLOCK, SET_LIMITS, UNBLOCK
-from app.line.commands.service import check_all_read, permitted, permitted_writer
+from app.line.commands.service import UnreadError, check_all_read, permitted, permitted_writer
 from app.line.commands.values import (
     analog_scale,
     measure_of_setpoint,
@@ -410,8 +410,7 @@ async def write_parameter(
         is_new = not await page.has_sent(confirmed.id)
         if is_new:
             # The keypad may have changed the value during the review: event and undo say what was there.
-            with suppress(Problem):
-                await page.commands.read(page.person, page.id, [number], page.deadline())
+            await page.commands.read(page.person, page.id, [number], page.deadline())
         known = page.unit.parameter_raw(number)
         # A form that comes twice at once may find its own value, and gets the result of the first.
         if is_new and known not in (None, raw) and was not in ("", str(known)) and not confirmed.undoes:
@@ -422,6 +421,8 @@ async def write_parameter(
             raise Problem(409, "dangerous", Message("word_not_typed"))
         action = WriteParameter(unit=page.id, number=number, raw=raw)
         result = await page.carry_out(action, confirmed, {page.id: scale})
+    except UnreadError as error:
+        result = page.in_words(error.result(confirmed.id, [page.id]))
     except Problem as problem:
         return page.not_sent(problem)
     outcome = parameter_outcome(page.unit, parameter, result)
