@@ -270,3 +270,12 @@ async def test_who_may_replace_a_unit_finds_it_before_every_other_button(running
         assert ("Replace this unit" in plate) is may
         first = re.search(r'class="button[^>]*>([^<]*)', plate)
         assert (first is not None and first[1] == "Replace this unit") is may
+
+
+async def test_a_stored_baud_rate_that_no_unit_uses_yet_stays_on_the_page_of_the_bus(house: House) -> None:
+    bus = house.services[LiveState].buses["dry-end"]
+    client = await house.signed_in(Role.ADMIN)
+    assert "used from the next power-up" not in (await client.get("/bus/dry-end")).text
+    bus.apply([ParameterValue(unit=1, number=18, at=1, raw=48)])
+    page = (await client.get("/bus/dry-end")).text
+    assert f"Stored: 4800 baud, used from the next power-up, in {bus.units[1].settings.name}." in page

@@ -25,8 +25,10 @@ from app.line.commands.review import outcome_text
 from app.line.commands.safeguards import END_READ_ONLY, FORCE_CONTROL, SET_READ_ONLY, TAKE_CONTROL
 from app.line.commands.service import END_SCAN, permitted
 from app.line.commands.undo import PlaceKind, UndoOffer
+from app.line.live.bus_live import BusLive
 from app.line.live.diagnosis import connection_cause
 from app.line.live.hub import Hub
+from bus.catalogue.parameters import BAUD_RATE
 from bus.contract import (
     ChangeBaud,
     ScanBus,
@@ -69,8 +71,20 @@ async def bus_page(_: Viewer, page: PageOfBus) -> Response:
         others=others(page),
         read_only=page.guards.read_only(),
         fault="",
+        stored_bauds=_stored_bauds(page.bus),
         **_units(page),
     )
+
+
+def _stored_bauds(bus: BusLive) -> dict[int, list[str]]:
+    """Return the units whose baud rate (#18), as last read, is not that of the bus, by that rate: they use
+    it from their next power-up."""
+    stored: dict[int, list[str]] = {}
+    for unit in bus.units.values():
+        raw = unit.parameter_raw(BAUD_RATE)
+        if raw is not None and raw * 100 != bus.baud:
+            stored.setdefault(raw * 100, []).append(unit.settings.name)
+    return stored
 
 
 @router.post("/bus/{bus}/read-only")
