@@ -56,7 +56,7 @@ async function openLive() {
     isLive,
     refuse() {
       refuses = true;
-      socket.onclose();
+      socket.onclose({ code: 1006 });
     },
     open: () => socket.onopen(),
     cause: () => shown.textContent,
