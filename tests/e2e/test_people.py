@@ -466,6 +466,15 @@ def test_focus_stays_in_the_row_that_was_written(shared_page: OpensPages, holder
     holder.post("/api/v1/buses/line/control/hand-over", json={"to": "admin-program"})
 
 
+def test_focus_stays_on_the_button_that_reads_and_the_end_is_said(shared_page: OpensPages) -> None:
+    page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+    read = page.get_by_role("button", name="Read all parameters")
+    focus(read)
+    page.keyboard.press("Enter")
+    expect(page.locator("#reading-done")).to_have_text("40 of 40 parameters were read.")
+    expect(read).to_be_focused()
+
+
 @pytest.mark.soak
 def test_nothing_moves_with_reduced_motion(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PANEL, reduced_motion="reduce"), "/units/line/1")
