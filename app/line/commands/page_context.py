@@ -80,7 +80,7 @@ class PageContext:
         """The id of the command that the review undoes."""
 
     async def refuse_incomplete(self, *names: str) -> None:
-        """Raise Problem 422 if the form lacks a field of these names: an empty one says something else."""
+        """Raise Problem 422 unless the form has every field named; a field may be empty."""
         form = await self.request.form()
         for name in names:
             if name not in form:

@@ -272,7 +272,7 @@ class Table:
         ]
 
     def as_shown(self, row: ExportRow) -> ExportRow:
-        """Return a row with the cells of ``shown``: a draw is of the two speeds or of their averages."""
+        """Return a row with one cell for each curve of ``shown``; a draw is computed from its two speeds."""
         parts = 1 if self.fineness == "readings" else 3
         stored = [(each.bus.name, each.unit, each.value.name) for each in self.queries]
         cells: list[Cell | None] = []
