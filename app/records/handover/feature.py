@@ -32,7 +32,7 @@ from app.people.audit.log import EventLog
 from app.people.auth.sign_in import SignIn
 from app.records.handover import api
 from app.records.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign
-from app.records.handover.figures import SpanFigures
+from app.records.handover.figures import SpanFigures, line_summary
 from app.records.handover.notes import MAX_OF_NOTE, PictureStore
 from app.records.handover.rules import Shift
 from app.records.handover.service import (
@@ -83,6 +83,7 @@ async def shifts_page(
         status=422 if fault else 200,
         fault=fault,
         day=day,
+        line_summary=line_summary,
         rows=[(each, _path(each.start), shifts.figures.known(Shift(each.start, each.end))) for each in found],
         address=request.url.path + (f"?{request.url.query}" if request.url.query else ""),
         present=shifts.present(),
@@ -140,6 +141,7 @@ async def _sheet(
         status=status,
         refused={"name": "", "reason": "", "error": None, **refused},
         sheet=readable(msgspec.json.decode(found.sheet)),
+        line_summary=line_summary,
         later=readable(notes_json(found.later)),
         signed=found.signed,
         missing=found.missing,

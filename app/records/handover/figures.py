@@ -4,14 +4,15 @@ alarms, the length of its web."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Annotated, NamedTuple, NotRequired
 
 import structlog
 from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.core.database import Database, StoreConnection
+from app.core.web.formats import lasting, length_shown
 from app.errors import StoreError
 from app.line.history.report import MAX_REPORT_READINGS, BusReport, UnitReport
 from app.line.history.series.figures import RunFigures
@@ -21,6 +22,7 @@ from app.line.history.service import History
 from app.records.handover.rules import EVERYTHING, Scope, Shift
 from app.settings import Settings
 from bus.instants import Clock, UnixTime, unix_now
+from bus.messages import Message, number
 from bus.settings import BusSettings, UnitSettings
 
 PER_S = {"s": 1, "sec": 1, "min": 60, "h": 3600}
@@ -31,6 +33,8 @@ RISEN = "FROM alarm_journal j WHERE trigger = 'rise' AND at >= ? AND at < ?"
 LATE_S, PRESENT_S = 3600.0, 30.0
 """The time after the end of a shift within which its readings may come; until then the list of shifts reads
 its figures again every half minute, and its sheet each time."""
+UNREAD_SHOWN_S = 60.0
+"""The least time without readings that a summary says: less is the lag of the newest readings."""
 REMEMBERED = 100
 """The shifts whose figures are remembered."""
 log = structlog.get_logger()
@@ -48,6 +52,15 @@ class LineFigures(TypedDict):
         float | None, Field(description="Of the web at the last unit; null where its speed has no length.")
     ]
     length_unit: Annotated[str | None, Field(description="The measure of the length; null without one.")]
+    unread_s: NotRequired[
+        Annotated[
+            float | None,
+            Field(
+                description="How long the unit of the length was not read, or without a length the unit read "
+                "most; null: no unit was read; absent from sheets that an earlier version signed."
+            ),
+        ]
+    ]
 
 
 class Length(NamedTuple):
@@ -72,21 +85,44 @@ def length_measure(unit: UnitSettings) -> tuple[str, int] | None:
     return (measure.strip(), PER_S[per.strip()]) if measure and per.strip() in PER_S else None
 
 
-def line_figures(found: FoundUnits, alarms: int) -> LineFigures:
-    """Return the figures of a line. Units that stand at the same time count as one stop."""
+def line_figures(found: FoundUnits, alarms: int, lasts_s: float) -> LineFigures:
+    """Return the figures of a line in a span of so many seconds. Units that stand at the same time count as
+    one stop."""
     read = [(bus, each.unit, each.runs) for bus, each in found if each.runs is not None and each.runs.known]
     standing = united((stop.at, stop.until) for _, _, runs in read for stop in runs.stops)
     length = Length()
+    known = max((runs.known for _, _, runs in read), default=0)
     if read and len({bus.name for bus, _, _ in read}) == 1:
         bus, last, runs = read[-1]
         length = length_of(runs, next(unit for unit in bus.unit if unit.id == last))
+        known = runs.known if length.measure else known
     return {
         "stops": len(standing) if read else None,
         "stopped_s": sum(until - at for at, until in standing) / SECOND if read else None,
         "alarms": alarms,
         "length": length.length,
         "length_unit": length.measure,
+        "unread_s": round(max(0.0, lasts_s - known / SECOND), DIGITS) if read else None,
     }
+
+
+def line_summary(line: LineFigures | None) -> Iterator[Message]:
+    """Yield what a line did, in a few words, the same on the list of shifts, a sheet and a report; None: the
+    history cannot be read."""
+    if line is None or line["stops"] is None:
+        yield Message("figures_none")
+    elif not line["stops"]:
+        yield Message("figures_no_stops")
+    else:
+        yield Message.of("figures_stops", n=line["stops"], lasting=lasting(line["stopped_s"] or 0.0))
+    if line is None:
+        return
+    yield Message.of("figures_alarms", n=line["alarms"])
+    if line["length"] is not None:
+        figure, measure = length_shown(line["length"], line["length_unit"] or "")
+        yield Message.of("figures_length", length=number(figure), measure=measure)
+    if (unread_s := line.get("unread_s") or 0.0) >= UNREAD_SHOWN_S:
+        yield Message.of("figures_unread", lasting=lasting(unread_s))
 
 
 def count_alarms(connection: StoreConnection, span: Shift, scope: Scope) -> int:
@@ -147,7 +183,7 @@ class SpanFigures:
             now = self._clock()
             units = await self.units(shift, EVERYTHING, now)
             alarms = await self._database.read(lambda store: count_alarms(store, shift, EVERYTHING))
-            found = line_figures(units, alarms)
+            found = line_figures(units, alarms, min(shift.end, now) - shift.start)
             self._remembered.pop(shift, None)
             while len(self._remembered) >= REMEMBERED:
                 del self._remembered[next(iter(self._remembered))]

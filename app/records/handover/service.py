@@ -33,7 +33,7 @@ from app.line.alarms.line_alarms import LineAlarms
 from app.people.audit.log import EventLog
 from app.people.auth.sign_in import SignIn, WrongSecretError
 from app.records.handover import notes, signatures
-from app.records.handover.figures import LineFigures, SpanFigures
+from app.records.handover.figures import LineFigures, SpanFigures, line_summary
 from app.records.handover.notes import Note, PictureStore, Quota, RepeatedNoteError, judged
 from app.records.handover.rules import PlainPicture, Shift, instant_of, shift_at, shifts_until, site_time
 from app.records.handover.sheet import first_event_at, write_sheet
@@ -368,7 +368,9 @@ class SheetDocuments:
     def page(self, sheet: bytes) -> bytes:
         """Return the page of a sheet without its signatures; it is signed together with the data."""
         shown = readable(msgspec.json.decode(sheet))
-        return self._rendered("handover/_frozen.html", sheet=shown, place_of=self._alarms.place).encode()
+        return self._rendered(
+            "handover/_frozen.html", sheet=shown, line_summary=line_summary, place_of=self._alarms.place
+        ).encode()
 
     async def document(self, found: SheetOfShift) -> str:
         """Return the page with its signatures and pictures as one file."""

@@ -134,6 +134,7 @@ def span_report(
     """Read a report from the stores, in a transaction. ``found``: the report of each unit, in floor order;
     ``most_stops``: the most stops of each unit, the newest."""
     until, signed = min(span.end, now), signed_sheet(connection, span.start)
+    lasts_s = round(until - span.start, DIGITS)
     where, values = scope.conditions()
     came = connection.execute(
         f"SELECT {_AT_END}, {_COLUMNS} {RISEN}{where} ORDER BY at, id LIMIT ?",
@@ -143,12 +144,10 @@ def span_report(
     sheet = write_sheet(connection, settings, span, now, scope)
     return {
         **sheet,
-        "line": line_figures(found, count_alarms(connection, Shift(span.start, until), scope)),
+        "line": line_figures(found, count_alarms(connection, Shift(span.start, until), scope), lasts_s),
         "notes": sheet["notes"][-MAX_OF_SPAN:],
         "signed": signed_json(signed if signed and signed.shift == span and not scope.bus else None),
-        "units": [
-            _unit(bus, each, counts, round(until - span.start, DIGITS), most_stops) for bus, each in found
-        ],
+        "units": [_unit(bus, each, counts, lasts_s, most_stops) for bus, each in found],
         "alarms": [{**transition_json(JournalEntry(*entry)), "at_end": at_end} for at_end, *entry in came],
     }
 

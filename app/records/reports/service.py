@@ -16,14 +16,13 @@ from app.core.database import Database, StoreConnection
 from app.core.database.connection import snapshot
 from app.core.web.assets import Assets
 from app.core.web.csv_file import Cell, Column, CsvForm
-from app.core.web.formats import lasting, length_shown
 from app.core.web.request_rules import refuse_year
 from app.core.web.services import unknown_bus, unknown_unit
 from app.core.web.shape import parse_integer
 from app.core.web.templating import Templates
 from app.errors import Problem, StoreError
 from app.line.alarms.line_alarms import LineAlarms
-from app.records.handover.figures import LineFigures, SpanFigures
+from app.records.handover.figures import SpanFigures, line_summary
 from app.records.handover.rules import EVERYTHING, Scope, Shift, site_time
 from app.records.handover.service import readable
 from app.records.notification.outbox import Attachment, OutboxItem, ReportNotice
@@ -32,7 +31,7 @@ from app.records.reports.report import span_report
 from app.records.reports.rules import SpanName, last_due, named_span, span_fault
 from app.settings import Settings
 from bus.instants import UnixTime, unix_now
-from bus.messages import Message, number, term
+from bus.messages import Message, term
 
 CHECK_S = 20.0
 Send = Callable[[list[OutboxItem]], Awaitable[None]]
@@ -276,29 +275,11 @@ def shown(report: Mapping[str, Any]) -> dict[str, Any]:
 
 def summary(report: Mapping[str, Any]) -> tuple[Message, ...]:
     """Return a summary of a report in a few words."""
-    line = report["line"]
     return (
-        *_stops(line),
-        Message.of("report_alarms", n=line["alarms"]),
-        *_length(line),
+        *line_summary(report["line"]),
         Message.of("report_drift", n=len(report["drift"])),
         Message.of("report_notes", n=len(report["notes"])),
     )
-
-
-def _stops(line: LineFigures) -> Iterator[Message]:
-    if line["stops"] is None or line["stopped_s"] is None:
-        yield Message("report_no_readings")
-    elif not line["stops"]:
-        yield Message("report_no_stops")
-    else:
-        yield Message.of("report_stops", n=line["stops"], lasting=lasting(line["stopped_s"]))
-
-
-def _length(line: LineFigures) -> Iterator[Message]:
-    if line["length"] is not None:
-        figure, measure = length_shown(line["length"], line["length_unit"] or "")
-        yield Message.of("report_length", length=number(figure), measure=measure)
 
 
 def _is_read(report: Mapping[str, Any]) -> bool:

@@ -106,11 +106,13 @@ async def test_report_sheet_and_list_of_a_shift_begin_with_the_same_figures(hous
     shift = next(each for each in shifts if _time(each["start"]) <= BEGIN < _time(each["end"]))
     span = {"from": shift["start"], "to": shift["end"]}
     line = (await client.get("/api/v1/report", params=span)).json()["line"]
-    assert line == {"stops": 1, "stopped_s": 29.0, "alarms": 0, "length": 120.19, "length_unit": "m"}
+    figures = {"stops": 1, "stopped_s": 29.0, "alarms": 0, "length": 120.19, "length_unit": "m"}
+    unread_s = 28_800.0 - 148.0
+    assert line == figures | {"unread_s": unread_s}
     sheet = (await client.get(f"/api/v1/shifts/{shift['start']}")).json()
     assert sheet["line"] == line
     browser = await house.signed_in(Role.VIEWER)
-    shown = "1 stop, 0:00:29 · 0 alarms · 120.2\N{NO-BREAK SPACE}m"
+    shown = "1 stop, 0:00:29 · 0 alarms · 120.2\N{NO-BREAK SPACE}m · 7:57:32 without readings"
     assert shown in (await browser.get(f"/shifts/{shift['start']}")).text
     assert shown in (await browser.get("/shifts")).text, "the sheet has read them"
 
