@@ -160,8 +160,8 @@ async def report_page(
         place=place,
         places=alarms.places(),
         spans=[(name, text, _address(place, span=name), name == chosen) for name, text in SPANS.items()],
-        since=formats.field_minute(wanted.start) if chosen else since,
-        until=formats.field_minute(wanted.end) if chosen else until,
+        since=formats.field_minute(wanted.start) if chosen or fault is None else since,
+        until=formats.field_minute(wanted.end) if chosen or fault is None else until,
     )
     if fault is not None:
         return page

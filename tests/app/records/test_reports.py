@@ -155,6 +155,14 @@ async def test_a_page_without_readings_states_what_it_is_for(house: House) -> No
     assert "0 stops" not in page
 
 
+async def test_the_fields_of_a_report_from_a_link_are_written_as_people_type_them(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    client.headers["accept-language"] = "de"
+    page = await client.get("/reports", params={"since": "2000-01-01T06:00", "until": "2000-01-02T06:00"})
+    assert 'value="01.01.2000 06:00"' in page.text
+    assert 'value="02.01.2000 06:00"' in page.text
+
+
 async def test_a_page_is_sent_up_to_its_report_before_that_is_read(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
