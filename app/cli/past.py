@@ -288,6 +288,7 @@ class _Records:
         yield changed, partial(self._note, None, _CHANGED, changed)
         for incident in self._past.incidents:
             yield from self._changes(incident)
+        yield self._past.now - GAP_S, self._ended
 
     def _changes(self, incident: Incident) -> Iterator[_Record]:
         """Yield the beginning and the end of an incident, and the acknowledgement of its alarm."""
@@ -314,6 +315,11 @@ class _Records:
             act = ACKNOWLEDGE.by(OPERATOR, name=alarm.name)
             await self._events.record(**act, bus=self._bus, unit=incident.unit)
         await self._alarms.write([entry_of(alarm, each, who) for each in done], [Alarm(alarm, facts)])
+
+    async def _ended(self) -> None:
+        """Record that the server of the past ended, so that no sheet takes the time since its last incident
+        for one without a record."""
+        await self._events.record(kind="server", what=Message("event_server_ended"))
 
     async def _line_event(self, incident: Incident, *, holds: bool) -> None:
         event = CONDITIONS[incident.code].event

@@ -52,6 +52,7 @@ from app.people.auth.accounts import Accounts
 from bus.instants import DAY_S, monotonic_now, unix_now
 from bus.messages import Message, term
 from bus.settings import UnitSettings
+from bus.validation import escaped
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 
@@ -221,7 +222,9 @@ def _by_field(fault: Problem | None, written: Mapping[str, str]) -> dict[str, Me
     found: dict[str, Message] = {}
     for each in cast(list[Message], fault.message.params.get("messages", [fault.message])):
         if (key := str(each.params.get("key"))) in _LABELS:
-            found[key] = Message(each.code, {**each.params, "key": term(_LABELS[key]), "value": written[key]})
+            found[key] = Message(
+                each.code, {**each.params, "key": term(_LABELS[key]), "value": escaped(written[key])}
+            )
         elif each.code in _FIELD_OF:
             key, code = _FIELD_OF[each.code]
             found[key] = Message(code)

@@ -49,10 +49,12 @@ ORDER BY j.after NOT IN ('unack_active', 'ack_active'), COALESCE(came, j.at), j.
 _LAST_OF_EACH = """
 SELECT max(id) FROM events WHERE about IS NULL AND kind = ? AND time < ? GROUP BY bus, unit ORDER BY 1
 """
-_NEXT_START = f"""
-SELECT time FROM events WHERE about IS NULL AND kind = 'server' AND time >= ?
-AND {json_member("messages", "what.code")} = 'event_server_started'
-ORDER BY id LIMIT 1
+_SERVER = f"about IS NULL AND kind = 'server' AND {json_member('messages', 'what.code')}"
+_STARTS = f"SELECT time FROM events WHERE {_SERVER} = 'event_server_started' AND time >= ? ORDER BY id"
+_LAST_BEFORE = f"""
+SELECT time FROM events WHERE about IS NULL AND time < :start
+AND (time < :start - {STARTING_S} OR {_SERVER} = 'event_server_ended')
+ORDER BY time DESC LIMIT 1
 """
 _EXTENT = "SELECT min(id), max(id) FROM events WHERE about IS NULL AND time >= ? AND time < ?"
 _COUNTS = f"""
@@ -158,13 +160,14 @@ def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> lis
 
 def first_gap(connection: StoreConnection, shift: Shift) -> tuple[UnixTime, UnixTime] | None:
     """Return the time from the last record before a start of the server to that start, if it reaches into a
-    shift."""
-    start = connection.execute(_NEXT_START, (shift.start,)).fetchone()
-    if start is None:
-        return None
-    query = "SELECT max(time) AS time FROM events WHERE about IS NULL AND time < ?"
-    last = connection.execute(query, (start["time"] - STARTING_S,)).fetchone()["time"]
-    return None if last is None or last >= shift.end else (UnixTime(last), UnixTime(start["time"]))
+    shift and is longer than a start takes."""
+    for (start,) in connection.execute(_STARTS, (shift.start,)):
+        row = connection.execute(_LAST_BEFORE, {"start": start}).fetchone()
+        if row is None or row["time"] >= shift.end:
+            return None
+        if start - row["time"] > STARTING_S:
+            return UnixTime(row["time"]), UnixTime(start)
+    return None
 
 
 def first_event_at(connection: StoreConnection) -> UnixTime | None:

@@ -52,6 +52,9 @@ def test_the_log_of_the_past_is_intact_and_in_order_of_time(settings: Settings) 
     times = [event["time"] for event in found]
     assert times == sorted(times, reverse=True)
     assert min(times) >= float(unix_now()) - 86_500
+    assert float(unix_now()) - max(times) < 60, (
+        "no sheet takes the time up to the demo for one without a record"
+    )
     assert {event["origin"] for event in found} <= {"", "demo"}, "nothing of it passes for a person"
     kinds = Counter(event["kind"] for event in found)
     assert kinds["recipe"] == 4

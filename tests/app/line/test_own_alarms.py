@@ -232,6 +232,8 @@ async def test_the_page_adds_changes_and_removes_without_script(house: House) ->
     assert str(book.added[own.key].settings.above) == "103.5"
     stale = await engineer.post("/alarms/own", data=change, headers=german)
     assert (stale.status_code, "seither geändert" in stale.text) == (409, True)
+    hidden = (await engineer.post("/alarms/own", data={**FORM, "name": "Nip\u202eevil"})).text
+    assert "Nip\\u202eevil" in hidden, "a refusal is read from left to right"
     form = {"alarm": own.key, "version": str(book.added[own.key].version)}
     assert (await engineer.post("/alarms/own/remove", data=form)).status_code == 422
     assert (await engineer.post("/alarms/own/remove", data=form | {"reason": "done"})).status_code == 303

@@ -9,6 +9,7 @@ import re
 import sqlite3
 import time
 from collections.abc import AsyncIterator
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,9 @@ from app.line.commands.limits import Limits
 from app.line.commands.safeguards import Safeguards
 from app.line.live.bus_live import LiveState
 from app.people.audit.log import EventLog
+from app.records.handover.rules import Shift
 from app.records.handover.service import Handover, Signing
-from app.records.handover.sheet import write_sheet
+from app.records.handover.sheet import first_gap, write_sheet
 from app.records.handover.signatures import missing_signatures
 from bus.contract import BusLink, Reading
 from bus.instants import UnixTime
@@ -352,6 +354,26 @@ async def test_a_time_without_the_server_is_on_the_sheet(tmp_path: Path) -> None
         start = (await viewer.get(API)).json()["shifts"][2]["start"]
         found = (await viewer.get(f"{API}/{start}")).json()
         assert "shift_omits_downtime" in {each["code"] for each in found["omissions"]}
+
+
+def test_a_restart_is_no_time_without_a_record(tmp_path: Path) -> None:
+    """The last event may be old, because nothing happened: the server says when it ended."""
+    start = UnixTime(1_700_000_000.0)
+
+    async def record(events: EventLog, after_s: float, code: str) -> None:
+        await events.record(kind="server", what=Message(code), at=UnixTime(start + after_s))
+
+    async def gap(code: str) -> object:
+        with closing(Database(tmp_path / f"{code}.db")) as database:
+            events = EventLog(database)
+            await record(events, 60.0, "event_server_started")
+            await record(events, 1790.0, code)
+            await record(events, 1800.0, "event_server_started")
+            shift = Shift(UnixTime(start + 100.0), UnixTime(start + 28_800.0))
+            return database.read_now(lambda store: first_gap(store, shift))
+
+    assert asyncio.run(gap("event_server_ended")) is None
+    assert asyncio.run(gap("event_clock_set")) == (start + 60.0, start + 1800.0)
 
 
 async def test_a_long_shift_has_the_newest_of_its_commands_and_counts_all(house: House) -> None:
