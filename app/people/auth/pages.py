@@ -35,6 +35,7 @@ from app.core.web.access import (
 )
 from app.core.web.api import ApiRoute
 from app.core.web.problems import is_fragment
+from app.core.web.result import result_of, send_to, shown_once
 from app.core.web.routes import GuardedRoute
 from app.core.web.services import looked_up, service, service_of
 from app.core.web.templating import LANGUAGE_COOKIE, render, templates_of
@@ -212,9 +213,9 @@ async def log_out(
 
 
 @router.get("/account")
-async def account_page(request: Request, _: Viewer, done: str = "") -> HTMLResponse:
+async def account_page(request: Request, _: Viewer) -> Response:
     """Show the forms for one's own language and password."""
-    return _account(request, done=done)
+    return shown_once(request, _account(request, done=result_of(request).get("done", "")))
 
 
 @router.post("/account/language")
@@ -225,7 +226,9 @@ async def choose_language(
     In a demo the browser keeps it."""
     if language and language not in templates_of(request).languages:
         raise CallerError(Message.of("no_such_language", language=language[:40]))
-    response = RedirectResponse(_own_path(back) if back else "/account?done=language", 303)
+    response = (
+        RedirectResponse(_own_path(back), 303) if back else send_to(request, "/account", done="language")
+    )
     if person.via == "demo":
         set_cookie(request, response, LANGUAGE_COOKIE, language, DEVICE_KNOWN_S)
     else:
@@ -253,7 +256,7 @@ async def change_password(
         await accounts.change_own_password(password, by=person, keep=this_one)
     except CallerError as fault:
         return _account(request, fault=fault)
-    return RedirectResponse("/account?done=password", 303)
+    return send_to(request, "/account", done="password")
 
 
 async def _sign_in(
@@ -405,15 +408,13 @@ class UsersPage:
         """Carry out a change and return to the page, which says that it was ``done`` to ``name``. If the
         change is refused, explain it on the page, in the drawer ``opened`` with what was ``typed``, or in the
         dialog."""
-        in_dialog = is_fragment(self.request)
         try:
             await change
         except CallerError as error:
-            if in_dialog:
+            if is_fragment(self.request):
                 raise
             return await self.render(fault=error, opened=opened, typed=typed)
-        url = f"/users?{urlencode({'done': done, 'name': name})}"
-        return Response(headers={"HX-Redirect": url}) if in_dialog else RedirectResponse(url, 303)
+        return send_to(self.request, "/users", done=done, name=name)
 
 
 Users = Annotated[
@@ -422,9 +423,11 @@ Users = Annotated[
 
 
 @router.get("/users")
-async def users_page(_: Admin, page: Users, done: str = "", name: str = "") -> HTMLResponse:
-    """Show every user and every token, and what was just ``done`` to the user ``name``."""
-    return await page.render(done=done, name=name)
+async def users_page(_: Admin, page: Users) -> Response:
+    """Show every user and every token, and what was just done to one of them."""
+    result = result_of(page.request)
+    shown = await page.render(done=result.get("done", ""), name=result.get("name", ""))
+    return shown_once(page.request, shown)
 
 
 @router.post("/users")

@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple
 
-from fastapi import APIRouter, Form, Path, Query
+from fastapi import APIRouter, Form, Path
 from starlette.datastructures import FormData
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
@@ -17,6 +17,7 @@ from starlette.responses import RedirectResponse, Response
 from app.core.web.access import Person
 from app.core.web.formats import Formats
 from app.core.web.problems import is_fragment
+from app.core.web.result import result_of, send_to, shown_once
 from app.core.web.routes import GuardedRoute
 from app.core.web.services import service
 from app.core.web.templating import render, templates_of
@@ -103,13 +104,8 @@ async def configuration_page(
     _: ConfigurationChanger,
     file: FileOfServer,
     restart: RestartOfServer,
-    done: int = 0,
-    changed: Annotated[str, Query(max_length=80)] = "",
-    field: Annotated[str, Query(max_length=80)] = "",
-    restarting: bool = False,
 ) -> Response:
-    """Show the tables of the file, its faults, and its newest versions. ``done``: the version just written;
-    ``changed`` and ``field``: the row that shows it."""
+    """Show the tables of the file, its faults, its newest versions, and at its row what was just written."""
     try:
         present = await file.present()
     except Problem as problem:
@@ -118,7 +114,8 @@ async def configuration_page(
     shown: dict[str, list[ShownTable]] = {form.kind: [] for form in FORMS}
     for place in places_of(data):
         shown[place.form.kind].append(ShownTable(place, title_of(place, data), texts_of(place, data)))
-    return render(
+    result = result_of(request)
+    page = render(
         request,
         "configuration/page.html",
         path_of_file=file.path,
@@ -129,13 +126,14 @@ async def configuration_page(
         duties=[(end_of(_DUTY, data, group.place.path).name, group.title) for group in shown["group"]],
         buses=buses_of(present),
         versions=await file.versions(),
-        done=done,
-        changed=(changed, field),
+        done=result.get("version"),
+        changed=(result.get("changed", ""), result.get("field", "")),
         words=_WORDS,
         defaults=DEFAULTS,
         can_restart=restart.is_offered and not present.faults,
-        restarting=restarting,
+        restarting="restarting" in result,
     )
+    return shown_once(request, page)
 
 
 @router.get("/configuration/tables/{name}")
@@ -201,11 +199,7 @@ async def _changed(
 
 def _written(request: Request, version: int, place: str = "", field: str = "") -> Response:
     """Return to the list, at the row of the changed table, bus or ``field``."""
-    path = f"/configuration?done={version}" + (f"&changed={place}" if place else "")
-    path += f"&field={field}" if field else ""
-    if is_fragment(request):
-        return Response(headers={"HX-Redirect": path})
-    return RedirectResponse(path, SEE_OTHER)
+    return send_to(request, "/configuration", version=str(version), changed=place, field=field)
 
 
 @router.get("/configuration/versions/{number}")
@@ -238,17 +232,21 @@ async def roll_back_configuration_page(
     review = await file.review(lambda _: stored.text, digest)
     if confirmed and not review.faults:
         saved = await file.save(person, ROLL_BACK, lambda _: stored.text, digest, reason_of_change)
-        return RedirectResponse(f"/configuration?done={saved.number}", SEE_OTHER)
+        return _written(request, saved.number)
     return review_page(request, file, present, review, f"/configuration/versions/{number}/roll-back", {})
 
 
 @router.post("/configuration/restart")
 async def restart_server_page(
-    person: Restarter, restart: RestartOfServer, digest: Digest = "", reason_of_change: ReasonOfChange = ""
+    request: Request,
+    person: Restarter,
+    restart: RestartOfServer,
+    digest: Digest = "",
+    reason_of_change: ReasonOfChange = "",
 ) -> Response:
     """Restart with the lines that the page has shown."""
     await restart.request(person, digest, reason_of_change)
-    return RedirectResponse("/configuration?restarting=true", SEE_OTHER)
+    return send_to(request, "/configuration", restarting="yes")
 
 
 def review_page(

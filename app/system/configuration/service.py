@@ -109,6 +109,12 @@ class ConfigurationFile:
         async with self._one_at_a_time:
             return await self._present()
 
+    async def is_waiting(self) -> bool:
+        """Return whether the file would change something at the next start. Nothing is stored by this. Raise
+        Problem as `present` does."""
+        text = await self._text()
+        return not (await asyncio.to_thread(self._judged, self.path, text)).is_running
+
     async def begin(self) -> None:
         """Make a version of changes since the last version, at the start."""
         if self._settings._file is not None:
@@ -174,13 +180,15 @@ class ConfigurationFile:
         return Problem(409, "not_in_state", message)
 
     async def _present(self) -> PresentFile:
-        path = self.path
+        text = await self._text()
+        await self._adopt(text)
+        return await asyncio.to_thread(self._judged, self.path, text)
+
+    async def _text(self) -> str:
         try:
-            text = await asyncio.to_thread(read, path)
+            return await asyncio.to_thread(read, self.path)
         except ConfigurationError as error:
             raise Problem(409, "not_in_state", error.message) from error
-        await self._adopt(text)
-        return await asyncio.to_thread(self._judged, path, text)
 
     async def _adopt(self, text: str) -> None:
         """Make a version of the text if it was not written here."""

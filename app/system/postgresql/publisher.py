@@ -59,13 +59,14 @@ log = structlog.get_logger()
 class PublisherStatus:
     """The state of the publisher. ``until``: everything stored up to this time is published; ``fault``: why
     nothing is published now; ``clock_ahead_s``: by how much the database's clock is ahead; ``rows``: the
-    number sent since the start."""
+    number sent since the start; ``last``: when the database last had everything, None if it never had."""
 
     place: str
     until: UnixTime
     fault: Message | None = None
     clock_ahead_s: float = 0.0
     rows: int = 0
+    last: UnixTime | None = None
 
     def lag_s(self, now: UnixTime) -> float:
         """Return the seconds of data that are not completely published."""
@@ -183,13 +184,18 @@ class Publisher:
             events, alarms = await self._database.read(end_of_logs)
             blocks = await self._history.read(lambda connection, _: end_of_blocks(connection))
             return Cursor(blocks, events, alarms, micros(unix_now()))
-        self.status = replace(self.status, until=seconds(stored.until))
+        self._has_everything(stored)
         again = await self._history.read(lambda c, _: first_block_since(c, stored.until - AGAIN))
         return stored if again is None else replace(stored, blocks=min(stored.blocks, again - 1))
 
+    def _has_everything(self, cursor: Cursor) -> None:
+        until = seconds(cursor.until)
+        self.status = replace(self.status, until=until, last=until)
+
     async def _advance(self, cursor: Cursor, rows: int) -> None:
         self._cursor = cursor
-        self.status = replace(self.status, until=seconds(cursor.until), rows=self.status.rows + rows)
+        self._has_everything(cursor)
+        self.status = replace(self.status, rows=self.status.rows + rows)
         if monotonic_now() >= self._store_at:
             self._store_at = monotonic_now() + STORE_EVERY_S
             await self._store(cursor)

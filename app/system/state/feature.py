@@ -155,8 +155,7 @@ def _plant_database(services: Services, now: UnixTime) -> SystemRow:
         )
     status = services[Publisher].status
     check = Message("system_check_database") if status.fault else None
-    last = status.until if status.rows or not status.fault else None
-    return _link(name, status.state(now), last, status.fault, check, chapter)
+    return _link(name, status.state(now), status.last, status.fault, check, chapter)
 
 
 def _company_accounts(services: Services) -> Iterator[SystemRow]:
@@ -170,11 +169,10 @@ def _company_accounts(services: Services) -> Iterator[SystemRow]:
 
 async def _configuration(services: Services) -> Iterable[SystemRow]:
     try:
-        present = await services[ConfigurationFile].present()
+        if not await services[ConfigurationFile].is_waiting():
+            return []
     except Problem:
         return []  # The server was started without a file, or its page says why it cannot be read.
-    if present.is_running:
-        return []
     state, to_do = Message("system_configuration_waits"), Message("system_restart")
     return [
         SystemRow(Message("system_configuration"), state, to_do=to_do, help="configuration", is_faulty=True)

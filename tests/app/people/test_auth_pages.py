@@ -260,4 +260,22 @@ async def test_an_irreversible_action_is_confirmed_and_ends_in_the_dialog(
     done = await admin.post("/users/tokens/plc/revoke", headers=fragment)
     assert done.status_code == 200
     assert "The token was revoked." in (await admin.get(done.headers["hx-redirect"])).text
+    again = await admin.get("/users")
+    assert "The token was revoked." not in again.text, "it is said once"
     assert [token.name for token in await house.services[Accounts].tokens()] == []
+
+
+@pytest.mark.parametrize(
+    ("link", "lie"),
+    [
+        ("/users?done=revoked&name=plc", "The token was revoked."),
+        ("/users?done=removed", "The user was removed."),
+        ("/account?done=password", "The password was changed."),
+    ],
+)
+async def test_a_link_cannot_say_that_something_was_done(
+    admin: httpx.AsyncClient, link: str, lie: str
+) -> None:
+    assert lie not in (await admin.get(link)).text
+    admin.cookies.set("lineside_result", "page=/users&done=revoked&done=%ff&name=a&x=y")
+    assert (await admin.get("/users")).status_code == 200

@@ -14,6 +14,8 @@ from app.people.audit.anchor import Anchoring
 from app.people.auth.single_sign_on import SingleSignOn
 from app.system.backup.service import Backups
 from app.system.backup.settings import BackupSettings
+from app.system.configuration.service import ConfigurationFile
+from app.system.postgresql.outbox import Cursor
 from app.system.postgresql.publisher import Publisher
 from app.system.state.feature import SystemRow, system_rows
 from bus.instants import monotonic_now, unix_now
@@ -91,6 +93,12 @@ async def test_a_plant_database_that_is_not_reached_is_marked_and_has_no_last_ti
         publisher.status = replace(publisher.status, fault=Message("publisher_unreachable"))
         row = (await rows_of(house))["system_plant_database"]
         assert (row.is_faulty, row.last, row.to_do) == (True, None, Message("system_check_database"))
+        had_everything = int(unix_now()) - 3600
+        await publisher._store(Cursor(0, 0, 0, had_everything * 1_000_000))
+        publisher._cursor = None
+        await publisher._attempt()
+        row = (await rows_of(house))["system_plant_database"]
+        assert (row.is_faulty, row.last) == (True, had_everything), "the server was restarted into the fault"
 
 
 async def test_company_accounts_have_a_row_where_they_are_set_up(tmp_path: Path) -> None:
@@ -108,6 +116,8 @@ async def test_a_configuration_that_waits_for_a_restart_has_a_row(tmp_path: Path
     config = write_configuration(tmp_path, "postgresql://lineside@127.0.0.1:1/plant", "all")
     async with complete_app(tmp_path, config=config) as house:
         assert "system_configuration" not in await rows_of(house)
+        versions = await house.services[ConfigurationFile].versions()
         config.write_text(config.read_text().replace("Mill 7", "Mill 8"))
         row = (await rows_of(house))["system_configuration"]
         assert (row.is_faulty, row.to_do) == (True, Message("system_restart"))
+        assert await house.services[ConfigurationFile].versions() == versions, "to look stores nothing"
