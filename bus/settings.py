@@ -108,7 +108,7 @@ def _check_band(value: object, check: ValidatorFunctionWrapHandler) -> tuple[Dec
 DrawBand = Annotated[
     tuple[Annotated[Decimal, Field(ge=-100, le=1000, decimal_places=1)], ...], WrapValidator(_check_band)
 ]
-"""The least and the greatest draw of a section, in percent; empty if none is checked."""
+"""The lowest and the highest draw of a section, in percent; empty if none is checked."""
 
 
 class Seam(NamedTuple):

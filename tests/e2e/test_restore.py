@@ -190,7 +190,7 @@ def test_a_setpoint_is_left_out_until_it_is_ticked(site: Site, shared_page: Open
     expect(page.locator("#source option:checked")).to_contain_text("golden set · as it ought to be")
     page.get_by_role("button", name="Read the unit and show the differences").click()
     expect(page.locator("#restore .outcome[role=status]")).to_contain_text("1 row would be written")
-    expect(page.get_by_text("The unit runs: a marked row takes effect as soon")).to_be_visible()
+    expect(page.get_by_text("The Run input is on: a marked row takes effect as soon")).to_be_visible()
     row = page.get_by_role("table", name="Setpoints").get_by_role("row", name="Speed Setpoint")
     expect(row).to_contain_text("Changes the machine's speed now")
     tick = page.get_by_role("checkbox", name="Write Speed Setpoint (parameter 20)")

@@ -339,7 +339,7 @@ def test_several_units_are_one_change_and_a_blocked_one_has_no_field(
     assert (state(site, 3)["setpoint"], state(site, 4)["setpoint"]) == (700, 710)
     expect(page.locator("dialog[open]")).to_have_count(0)
     undo.click()
-    expect(act).to_be_visible()
+    expect(page.get_by_role("heading", name="Undo · Setpoints")).to_be_visible()
     site.set_speed(4, value="72.0")
     ended = page.locator("#change-line [data-review-end]")
     expect(ended).to_contain_text("Dryer 1: The value changed to 72.0")

@@ -224,7 +224,8 @@ def all_well(units: int, counts: Counter[str], speed: Message | None) -> Message
         return Message.of("line_running", n=units, speed=speed)
     if late := units - counts["online"]:
         return Message.of("line_partly_live", n=counts["at_speed"], units=units, late=late)
-    return Message.of("line_partly_at_speed", n=counts["at_speed"], units=units)
+    at_speed = counts["at_speed"]
+    return Message.of("line_partly_at_speed", n=at_speed, units=units, zero=units - at_speed)
 
 
 def holders(held_by: Mapping[str, str], translator: Translator) -> str:

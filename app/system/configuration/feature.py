@@ -348,16 +348,20 @@ def _faults_by_field(
     return errors, tuple(others)
 
 
+_COMMA = re.compile(r"^(-?\d+),(\d{1,2}|\d{4,})$")
+
+
 def _typed(request: Request, place: TablePlace, form: FormData) -> dict[str, str]:
     """Return the typed values by key. A field with several choices has each chosen one, a band its limits; a
-    number may have the decimal comma of the reader."""
+    number may have a decimal comma in every language, but for three digits after it, which are thousands in
+    some."""
     templates = templates_of(request)
     formats: Formats = templates.formats(templates.language_of(request).tag)
     texts = {}
     for field in place.form.fields:
         given = [value.strip() for value in form.getlist(field.key) if isinstance(value, str)]
         if field.kind in ("number", "band"):
-            given = [formats.typed_number(value) for value in given]
+            given = [_COMMA.sub(r"\1.\2", formats.typed_number(value)) for value in given]
         texts[field.key] = ", ".join(given) if any(given) else ""
     return texts
 

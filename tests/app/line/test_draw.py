@@ -190,7 +190,7 @@ def test_a_unit_may_set_another_band_than_its_bus_or_none() -> None:
 
 @pytest.mark.parametrize("band", [[1], [2, 1], [1, 1], [1, 2, 3], [0, "x"], [0, 0.25], [-101, 0], 5, True])
 def test_a_band_is_two_numbers_in_order(band: object) -> None:
-    with pytest.raises(ValidationError, match="least and the greatest draw"):
+    with pytest.raises(ValidationError, match="lowest and the highest draw"):
         bus_of(*UNITS, draw_percent=band)
 
 

@@ -498,8 +498,8 @@ def test_a_bus_without_any_response_is_one_entry() -> None:
         ([{}, {"outputs": 0x40, "actual": 900}], "1 of 2 ramping", "1 von 2 in Rampe"),
         (
             [{}, {"commanded": 0, "actual": 0}],
-            "1 of 2 at speed, the others at zero",
-            "1 von 2 auf Sollwert, die anderen auf null",
+            "1 of 2 at speed, 1 at zero",
+            "1 von 2 auf Sollwert, 1 auf null",
         ),
         (
             [{}],
