@@ -160,11 +160,12 @@ def test_what_is_read_aloud_of_the_line_and_the_alarms_is_in_order(
         ]
         tile = page.evaluate(SPOKEN, '.tile[data-unit="line/3"]')
         # What is so stands at the unit, since when in the verdict: each time is on the page once.
-        assert tile[:6] == ["3", "Coater", "REMOTE", "actual", "0.0", brief]
+        assert tile[:5] == ["3", "Coater", "REMOTE", "Coater:", "Emergency stop, urgent"]
+        assert tile[5:8] == ["actual", "0.0", brief]
         assert sum(since in text for text in page.evaluate(SPOKEN, ".main")) == 1
-        assert tile[6:9] == ["setpoint", "120.0", "m/min"]
+        assert tile[8:11] == ["setpoint", "120.0", "m/min"]
         link = page.locator('.tile[data-unit="line/3"] .tile__alarm')
-        expect(link).to_have_accessible_name(re.compile("Coater: Alarms"))
+        expect(link).to_have_accessible_name("Coater: Emergency stop, urgent")
         is_announced_in_order(page)
         opened(page, "/alarms")
         row = page.evaluate(SPOKEN, "#alarms tbody tr")
@@ -206,7 +207,7 @@ def test_what_is_read_aloud_of_the_other_pages_of_an_operator_is_in_order(
         assert steps[9:11] == [f"{name} · Setpoint", "New setpoint"]
         assert steps[11:23] == [*"789456123", "Decimal sign", "0", "Erase"]
         assert [text[:3] for text in steps[23:27]] == ["Up ", "Up ", "Dow", "Dow"]
-        assert steps[27:32] == ["Set now…", "Stage…", "Add to tray", "Execute staged…", "Outputs"]
+        assert steps[27:32] == ["Set now…", "Add to tray", "Stage…", "Execute staged…", "Outputs"]
         parts = ["The last ten minutes", "Inputs", "Analog", "Golden set"]
         assert [text for text in steps[32:] if text in parts] == [parts[0], *parts]
         said = page.evaluate(SPOKEN, ".main")

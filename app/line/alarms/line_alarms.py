@@ -29,7 +29,7 @@ from app.line.live.fields import Fields, Translator, name_on_site
 from app.people.audit.log import EventLog
 from app.people.auth.store import Token
 from bus.instants import Clock, ClockWatch, MonotonicClock, UnixTime, monotonic_now, unix_now
-from bus.messages import Message, number
+from bus.messages import Message, number, term
 from bus.tls import Certificate, certificate_that_counts
 
 LOOK_EVERY_S = 60.0
@@ -418,7 +418,8 @@ class AlarmBanner:
         first = found[0] if found else None
         fields = _state(first, len(found), translator, now)
         name = translator.t(first.definition.name) if first else ""
-        return {"alarm": first.mark if first else "", "alarm_text": name} | {
+        said = f"{name}, {translator.t(term(first.definition.priority))}" if first else ""
+        return {"alarm": first.mark if first else "", "alarm_text": name, "alarm_said": said} | {
             f"alarm_{field}": text for field, text in fields.items()
         }
 

@@ -230,10 +230,19 @@ async def alarms_list(
 
 
 def _list(
-    request: Request, alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str], left_out: int = 0
+    request: Request,
+    alarms: LineAlarms,
+    chosen: dict[str, str],
+    shown: Sequence[str],
+    left_out: int = 0,
+    acknowledged: int = 0,
 ) -> Response:
     return render(
-        request, "alarms/_list.html", **_list_fields(alarms, chosen, unix_now(), shown), left_out=left_out
+        request,
+        "alarms/_list.html",
+        **_list_fields(alarms, chosen, unix_now(), shown),
+        left_out=left_out,
+        acknowledged=acknowledged,
     )
 
 
@@ -319,7 +328,7 @@ async def acknowledge_shown(
         except Problem:
             left_out += 1
     if shown:
-        response = _list(request, alarms, chosen, shown, left_out)
+        response = _list(request, alarms, chosen, shown, left_out, len(id) - left_out)
         response.headers["HX-Retarget"], response.headers["HX-Reswap"] = "#alarms", "innerMorph"
         return response
     query = _query(chosen | ({"left_out": str(left_out)} if left_out else {}))

@@ -106,8 +106,8 @@ AlarmBanner = Callable[[Translator], Fields]
 UnitAlarm = Callable[[str, int, Translator, UnixTime], Fields]
 """A function that returns the first alarm of a unit in the reader's language, all empty without one:
 ``alarm``, its priority, whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``,
-its name; ``alarm_state``, its state with the time that matters; ``alarm_more``, the number of others;
-``alarm_at``, its page."""
+its name; ``alarm_said``, name and priority; ``alarm_state``, its state with the time that matters;
+``alarm_more``, the number of others; ``alarm_at``, its page."""
 AlarmDelay = Callable[[str, str], float]
 """A function that returns after how many seconds a condition, by its code, of a unit (``dry-end/4``) or bus
 becomes an alarm; 0 if it is one, or something hides it."""

@@ -317,6 +317,7 @@ async def test_no_row_moves_until_the_list_is_opened_again(house: House) -> None
     local = f"{BUS}.2.not_in_remote"
     assert shown == [ESTOP, local]
     done = await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1", "shown": shown})
+    assert "1 alarm acknowledged</hx-partial>" in done.text, "a screen reader hears it"
     assert (done.status_code, done.headers["hx-retarget"]) == (200, "#alarms")
     assert rows(done.text) == shown
     estop(house.services, active=False)
@@ -461,6 +462,7 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
     assert banner.unit_fields(BUS, 1, translator(), now) == {
         "alarm": "urgent cleared waiting",
         "alarm_text": "Emergency stop",
+        "alarm_said": "Emergency stop, urgent",
         "alarm_state": f"cleared {at}",
         "alarm_more": "",
         "alarm_at": f"/alarms/{ESTOP}.1",
