@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from bus.contract import UnitLink
 from bus.instants import UnixTime
@@ -20,6 +20,13 @@ StepName = Literal["find", "address", "remote", "restore", "proven"]
 STEPS: tuple[StepName, ...] = ("find", "address", "remote", "restore", "proven")
 
 
+class LostUnit(NamedTuple):
+    """A unit that does not respond, and when it last did."""
+
+    unit: int
+    since: UnixTime
+
+
 @dataclass(frozen=True, slots=True)
 class SwapState:
     """The state of the wire for a swap.
@@ -27,7 +34,8 @@ class SwapState:
     ``at_target``: the finding at the section's address; ``at_factory``: at address 1. ``is_new``: the unit at
     the section's address is the spare, not the old unit that is still on the cable. ``equal``: the unit
     equals the set, by the last full read. ``remote`` and ``equal`` are None if they are not known yet.
-    ``read_at``: when the wire was read.
+    ``read_at``: when the wire was read. ``other_lost``: the one other unit that has stopped responding since
+    the swap began, because the spare may have its address; None if no other unit has, or several have.
     """
 
     target: int
@@ -39,6 +47,7 @@ class SwapState:
     configured: frozenset[int] = frozenset()
     baud: int = FACTORY_BAUD
     read_at: UnixTime = UnixTime(0.0)
+    other_lost: LostUnit | None = None
 
     def still_holds(self, link: UnitLink) -> bool:
         """Return whether this state is still up to date: False once a unit that was found has stopped
@@ -49,12 +58,14 @@ class SwapState:
 @dataclass(frozen=True, slots=True)
 class Advice:
     """The present step and its instruction. ``at_keypad``: only a person at the unit can do it;
-    ``confirms_spare``: a person may confirm that the unit is the spare."""
+    ``confirms_spare``: a person may confirm that the unit is the spare; ``other_lost``: a unit whose
+    address the spare may have."""
 
     step: StepName
     text: Message
     at_keypad: bool
     confirms_spare: bool = False
+    other_lost: LostUnit | None = None
 
 
 PROVEN = Advice("proven", Message("swap_proven"), at_keypad=False)
@@ -87,7 +98,7 @@ def _nothing_at_target(state: SwapState) -> Advice:
         return Advice("address", Message("swap_at_factory", addresses), at_keypad=True)
     code = "swap_nothing_new" if state.baud == FACTORY_BAUD else "swap_nothing_new_other_baud"
     text = Message.of(code, target=state.target, baud=state.baud, hundreds=state.baud // 100)
-    return Advice("find", text, at_keypad=True)
+    return Advice("find", text, at_keypad=True, other_lost=state.other_lost)
 
 
 def finding(state: SwapState) -> Message:

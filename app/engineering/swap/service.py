@@ -19,12 +19,12 @@ from app.engineering.sets.model import ParameterSet, status_of
 from app.engineering.sets.restore_plan import Restore
 from app.engineering.sets.restore_service import RestoreService
 from app.engineering.sets.saving import SetKeeper
-from app.engineering.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState, finding
+from app.engineering.swap.rules import FACTORY_ADDRESS, Advice, LostUnit, ProbeFinding, SwapState, finding
 from app.errors import Problem, StoreError, or_404
 from app.line.commands.catalogue import WRITE_PARAMETER
 from app.line.commands.review import outcome_message
 from app.line.commands.service import CommandService
-from app.line.live.bus_live import LiveState
+from app.line.live.bus_live import BusLive, LiveState
 from app.line.live.requests import unit_or_404
 from app.people.audit.acts import Act
 from app.people.audit.log import EventLog
@@ -383,6 +383,7 @@ class SwapService:
             configured=frozenset(line.units),
             baud=line.baud,
             read_at=unix_now(),
+            other_lost=_other_lost(line, swap),
         )
 
     async def _probe(self, person: Person, bus: str, address: int) -> ProbeFinding:
@@ -393,6 +394,17 @@ class SwapService:
         if result.outcome != "verified":
             raise Problem(503, "not_looked", outcome_message(result))
         return next((found.kind for found in result.found if found.unit == address), "silent")
+
+
+def _other_lost(line: BusLive, swap: Swap) -> LostUnit | None:
+    """Return the one other unit that has stopped responding since the swap began; None if several have."""
+    lost = [
+        LostUnit(number, unit.reading.at)
+        for number, unit in line.units.items()
+        if number != swap.unit and unit.link.link == "offline" and unit.reading is not None
+    ]
+    lost = [each for each in lost if each.since > swap.began_at]
+    return lost[0] if len(lost) == 1 else None
 
 
 def step_text(advice: Advice, swap: Swap) -> Message:

@@ -23,7 +23,7 @@ from app.engineering.swap.rules import PROVEN, STEPS, ProbeFinding, SwapState, a
 from app.engineering.swap.service import MAX_PROBES, Swap, SwapService, SwapSource, SwapStore, step_text
 from app.errors import Problem
 from app.line.live.bus_live import LiveState
-from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink, UnitLinkState
+from bus.contract import Action, FoundUnit, Outcome, Reading, Result, ScanBus, UnitLink, UnitLinkState
 from bus.instants import UnixTime
 from bus.messages import Message, term
 from bus.settings import BusSettings
@@ -299,6 +299,22 @@ async def test_one_lost_response_of_an_online_unit_is_no_loss(
     shown = await scene.look(swap, *seen)
     assert shown is not None
     assert (shown.at_target, scene.wire.seen) == (at_target, [])
+
+
+@pytest.mark.parametrize(
+    ("heard_at", "lost", "named"), [(1.0, True, True), (-1.0, True, False), (1.0, False, False)]
+)
+async def test_a_spare_that_may_have_the_address_of_another_unit(
+    scene: Scene, heard_at: float, lost: bool, named: bool
+) -> None:
+    """Unit 1, lost since the swap of unit 2 began, is named; one that was lost before is not."""
+    swap = await scene.begin()
+    at = swap.began_at + heard_at
+    scene.live.buses["dry-end"].apply([Reading(1, at, 0, 0, 0, 0, 0)])
+    scene.live.buses["dry-end"].apply([UnitLink(1, at, "offline" if lost else "online")])
+    shown = await scene.look(swap, "silent", "silent")
+    assert shown is not None
+    assert advice(shown).other_lost == ((1, at) if named else None)
 
 
 async def test_a_look_that_came_to_no_end_shows_nothing(scene: Scene) -> None:
