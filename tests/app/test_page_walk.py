@@ -56,7 +56,7 @@ BY_SCRIPT = (
     ),
     *(f"/units/{BUS}/1/faceplate", f"/bus/{BUS}/control/bus", f"/batch/{BUS}", f"/swap/{BUS}/1/look"),
     *("/login", "/configuration/tables/store", "/users/the-admin/remove"),
-    *("/configuration/bus/0", "/configuration/bus/0/scan"),
+    *("/configuration/bus/0", "/configuration/bus/0/scan", f"/bus/{BUS}/scan"),
 )
 LINK = re.compile(r'(?:href|hx-get)="(/[^"#]*)')
 NO_PAGE = re.compile(r"/(static|api|help/pictures|shifts/pictures|metrics|healthz|favicon|manifest|sw\.js)")

@@ -110,7 +110,13 @@ NO_PAGES = frozenset(
     {
         *("/alarms/list", "/alarms/own/values", "/bus", "/bus/{bus}/baud", "/bus/{bus}/control/{place}"),
         *("/bus/{bus}/first-steps", "/bus/{bus}/staged/review", "/bus/{bus}/tray/review", "/bus/{bus}/undo"),
-        *("/bus/{bus}/undo/{id}", "/bus/{bus}/units", "/configuration/bus/{index}/scan", "/control"),
+        *(
+            "/bus/{bus}/undo/{id}",
+            "/bus/{bus}/units",
+            "/bus/{bus}/scan",
+            "/configuration/bus/{index}/scan",
+            "/control",
+        ),
         *("/favicon.ico", "/healthz", "/help/pictures/{name}", "/line/zero", "/live", "/login/oidc"),
         *("/login/oidc/callback", "/manifest.webmanifest", "/metrics", "/recipes/{recipe_id}/review"),
         "/recipes/{recipe_id}/retire",

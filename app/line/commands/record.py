@@ -32,7 +32,7 @@ from app.people.audit.entry import KeyRing
 from app.people.audit.log import EventLog, link_parts
 from bus.contract import Action, Outcome, Result, UnitOutcome
 from bus.instants import Clock, UnixTime
-from bus.messages import Message, term
+from bus.messages import Message, joined, term
 
 log = structlog.get_logger()
 
@@ -200,6 +200,7 @@ class CommandRecord:
         read with it, if that differs. The result stands even if the database fails now."""
         texts: dict[str, Message] = {}
         part_texts: dict[int, dict[str, Message]] = {}
+        said = with_names(result.message, live) if result.message else None
         if request.scales is None:
             texts, part_texts = reworded(request.action, intent.words, intent.part_words, live)
         try:
@@ -211,7 +212,7 @@ class CommandRecord:
             await self._events.conclude(
                 intent.event,
                 result.outcome,
-                _named(result, live),
+                joined((_found_addresses(result), said)) or "",
                 result.frames,
                 lambda store: end_key(store, request, result),
                 texts,
@@ -250,6 +251,12 @@ def _origin(request: CommandRequest) -> str | Message:
         return request.origin
     origin = request.origin if isinstance(request.origin, Message) else term(request.origin)
     return Message.of("origin_token", origin=origin)
+
+
+def _found_addresses(result: Result) -> Message | None:
+    """Return the addresses that responded to a scan; None if none did."""
+    found = [each.unit for each in result.found]
+    return Message.of("scan_found", n=len(found), addresses=found) if found else None
 
 
 def _named(result: Result | UnitOutcome, live: BusLive) -> str | Message:

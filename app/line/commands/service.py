@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
+from dataclasses import dataclass
 from math import inf
 from typing import Annotated, Any
 
@@ -52,8 +53,8 @@ from app.people.audit.acts import Act
 from app.people.auth.rights import Rights
 from bus.catalogue.parameters import DECIMALS, FOLLOWER_MODE, PARAMETERS, RATIO_SETPOINT, Scale
 from bus.catalogue.values import is_follower, parameter_raw, ratio_raw, speed_raw
-from bus.contract import Action, Command, Outcome, ReadParameters, Result, UnitOutcome, UnitScale
-from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
+from bus.contract import Action, Command, Outcome, ReadParameters, Result, ScanBus, UnitOutcome, UnitScale
+from bus.instants import Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, joined, listed, parameter_name
 
 _ACTED = ("verified", "acknowledged", "unverified")
@@ -73,6 +74,16 @@ rate or of many units is not."""
 
 BeforeWrite = Callable[[Person, Sequence[int], bool], Awaitable[None]]
 """A function called before each write: who sends it, to which units, whether it writes parameters."""
+
+
+@dataclass(slots=True)
+class AddressScan:
+    """A scan of addresses, for whoever opens the page of its bus: ``result`` once it has ended."""
+
+    action: ScanBus
+    began_at: UnixTime
+    is_under_way: bool = True
+    result: Result | None = None
 
 
 class CommandService:
@@ -100,6 +111,8 @@ class CommandService:
         self._under_way: set[asyncio.Task[Result]] = set()
         self._scans: dict[str, list[Message]] = {}
         """The reasons why each scan under way ends early, by the id of its command."""
+        self.last_scan: AddressScan | None = None
+        """The scan of addresses that was begun last."""
         self._write_subscribers: list[BeforeWrite] = []
         self.undo = Undoing(live, monotonic)
 
@@ -392,9 +405,10 @@ class CommandService:
         """Send a command and return its result. If it may no longer continue, the worker is told once to stop
         where nothing is half done, and the reason precedes the message of the result."""
         reasons: list[Message] = []
-        kind = kind_of_command(request.action)
-        if kind is SCAN_BUS and kind.is_event(request.action):
+        scan: AddressScan | None = None
+        if isinstance(request.action, ScanBus) and SCAN_BUS.is_event(request.action):
             self._scans[request.id] = reasons
+            self.last_scan = scan = AddressScan(request.action, unix_now())
 
         async def watch() -> None:
             reason = await self._why_no_longer(request, slows=slows)
@@ -412,7 +426,13 @@ class CommandService:
                     result = await self._channel.send(command)
         finally:
             self._scans.pop(request.id, None)
-        return replace(result, message=joined((*reasons, result.message))) if reasons else result
+            if scan is not None:
+                scan.is_under_way = False
+        if reasons:
+            result = replace(result, message=joined((*reasons, result.message)))
+        if scan is not None:
+            scan.result = result
+        return result
 
     async def _stage(self, command: Command) -> Result:
         """Send a command that stages speeds to the worker, once its units are on disk."""

@@ -134,21 +134,33 @@ async def test_a_long_command_is_given_up_when_it_may_not_go_on(
     assert (event["outcome"], event["message"]) == ("not_sent", f"{named}; given up: every unit is back")
 
 
-async def test_a_person_ends_a_scan_of_another_and_is_named(site: House, worker: PlayedWorker) -> None:
+async def test_a_scan_is_shown_after_its_page_was_left_and_another_person_ends_it(
+    site: House, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.line.commands.pages.bus.SCAN_WAIT_S", 0.2)
     eva, scan = site.http("engineer", "eva"), f"/bus/{BUS}/scan"
-    scanning = asyncio.create_task(site.http("engineer").post(scan, data={"first": "1", "last": "99"}))
+    begun = await site.http("engineer").post(scan, data={"first": "1", "last": "99"})
+    assert "End the address scan" in begun.text
+    assert "Addresses 1 to 99 since" in (await eva.get(scan)).text
     look = asyncio.create_task(site.commands.send(ANNA, ScanBus(first=9, last=9)))
     await worker.receive(Command, 2)
     command, of_swap = sorted(worker.commands, key=lambda each: each.action == ScanBus(first=9, last=9))
     with pytest.raises(Problem):
         await site.commands.end_scans(Person("otto", Role.OPERATOR, "session"))
-    assert "The scan ends after the address under way." in (await eva.post(f"{scan}/end")).text
+    assert (await eva.post(f"{scan}/end")).status_code == 204
     assert (await eva.post(f"{scan}/end")).status_code == 204
     assert await worker.receive(Cancel) == Cancel(command.id)
     found = [FoundUnit(3, 9600, "digimax", [], [])]
     message = term("canceled after 3 of 99 addresses")
     await worker.update(result_of(command, "unverified", message=message, found=found))
-    assert "eva ended the scan; canceled after 3 of 99 addresses" in (await scanning).text
+    async with asyncio.timeout(5):
+        while site.commands.last_scan is None or site.commands.last_scan.result is None:  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+    shown = (await eva.get(scan)).text
+    assert "1 address responded" in shown
+    assert "eva ended the scan; canceled after 3 of 99 addresses" in shown
+    event = next(event for event in await commands(site) if "addresses" in event["what"])
+    assert event["message"].startswith("responded: address 3; eva ended the scan")
     await worker.update(result_of(of_swap, "verified"))
     await look
     acts, _ = await site.log.page(Filter(kind="bus", who="eva"), 100)

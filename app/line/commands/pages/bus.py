@@ -3,6 +3,7 @@ of the bus from any page, and the undo of commands to it."""
 
 from __future__ import annotations
 
+import asyncio
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Form
@@ -47,6 +48,8 @@ from bus.validation import OneLine, TypedText
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 SEE_OTHER = 303
 DEFAULT_MINUTES = 60
+SCAN_WAIT_S = 1.0
+"""The time that the press waits for the result of a scan; a page then follows it."""
 
 
 @router.get("/bus")
@@ -72,7 +75,8 @@ async def bus_page(_: Viewer, page: PageOfBus) -> Response:
         read_only=page.guards.read_only(),
         fault="",
         stored_bauds=_stored_bauds(page.bus),
-        **_units(page),
+        begun=False,
+        **(_last_scan(page) | _units(page)),
     )
 
 
@@ -128,26 +132,38 @@ async def scan(
     first: Annotated[int, Form(ge=1, le=255)] = 1,
     last: Annotated[int, Form(ge=1, le=255)] = 255,
 ) -> Response:
-    """Find the addresses that respond, in the gaps of the scan."""
-    action = ScanBus(first=min(first, last), last=max(first, last))
-    result = await page.send(action, new_id())
-    return page.render(
-        "bus/_found.html",
-        ending=False,
-        outcome=outcome_text(result),
-        found=result.found,
-        remarks=result.message,
-        known=page.bus.units,
-        action=action,
-    )
+    """Find the addresses that respond, in the gaps of the scan. The page follows a long scan, and may be
+    left."""
+    before = page.commands.last_scan
+    try:
+        # The command itself goes on when this wait ends.
+        await asyncio.wait_for(
+            page.send(ScanBus(first=min(first, last), last=max(first, last)), new_id()), SCAN_WAIT_S
+        )
+    except TimeoutError as error:
+        if page.commands.last_scan is before:
+            raise Problem(504, "not_sent", Message("deadline_passed")) from error
+    return page.render("bus/_found.html", begun=True, **_last_scan(page))
+
+
+@router.get("/bus/{bus}/scan", dependencies=[permitted(SCAN_BUS)])
+async def last_scan(page: PageOfBus) -> Response:
+    """Show the scan of addresses that is under way, or the result of the last one."""
+    return page.render("bus/_found.html", begun=False, **_last_scan(page))
+
+
+def _last_scan(page: BusPage) -> dict[str, Any]:
+    scan = page.commands.last_scan
+    result = None if scan is None or scan.result is None else page.in_words(scan.result)
+    outcome = None if result is None else outcome_text(result)
+    return {"scan": scan, "result": result, "outcome": outcome, "known": page.bus.units, "name": page.name}
 
 
 @router.post("/bus/{bus}/scan/end")
 async def end_scan(person: Annotated[Person, END_SCAN.permitted], page: PageOfBus) -> Response:
-    """End a scan after the address under way; the request that began it shows what it found."""
-    if not await page.commands.end_scans(person):
-        return Response(status_code=204)
-    return page.render("bus/_found.html", ending=True)
+    """End a scan after the address under way; the page that follows it shows what it found."""
+    await page.commands.end_scans(person)
+    return Response(status_code=204)
 
 
 CHANGE_S = 30.0
