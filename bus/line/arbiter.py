@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from bus.instants import Monotonic
 from bus.line.commands.procedure import CommandRun, Priority, ProcedureResult
-from bus.line.poll_schedule import PollSchedule, Task, TaskKind
+from bus.line.poll_schedule import MANY_UNITS, PollSchedule, Task, TaskKind
 from bus.line.send import ExchangeResult, Send, SendAttempts
 from bus.messages import Message
 from bus.wire.commands import Nak, ReadParameterRequest, ReadStatusRequest, Request
@@ -76,8 +76,11 @@ class CommandQueue:
 
     @property
     def write_waits(self) -> bool:
-        """Whether a command that writes is waiting or under way."""
-        return any(run.priority is Priority.WRITE and run.result is None for run in self._all)
+        """Whether a command that writes is waiting or under way, unless it only reads."""
+        return any(
+            run.priority is Priority.WRITE and run.result is None and not run.context.only_reads
+            for run in self._all
+        )
 
     @property
     def slow_waits(self) -> bool:
@@ -86,8 +89,9 @@ class CommandQueue:
 
     @property
     def group_changes(self) -> bool:
-        """Whether a change of many units is under way, between whose frames nothing may come."""
-        return any(run.begun and len(run.units) > 1 for run in self._all)
+        """Whether a change of many units is under way, between whose frames nothing may come until it
+        only reads."""
+        return any(run.begun and len(run.units) > 1 and not run.context.only_reads for run in self._all)
 
     def moments(self) -> list[Monotonic]:
         """Return when each command resumes, or gives up waiting for its turn."""
@@ -196,7 +200,7 @@ class Arbiter:
         """Take the result of ``turn``; return whether the request is repeated because nothing responded."""
         run = turn.run
         if run is not None:
-            self._read_last = run.priority is Priority.READ
+            self._read_last = run.priority is Priority.READ or self._reads_back_many(run)
             if run.priority is Priority.SLOW:
                 self.schedule.spent(Task(TaskKind.SLOW), exchange.began, exchange.ended, responded=True)
             again = run.settle(exchange, exchange.ended)
@@ -222,9 +226,13 @@ class Arbiter:
         self._reserved_until = now
         return NextRequest(request, run)
 
+    def _reads_back_many(self, run: CommandRun) -> bool:
+        """Return whether ``run`` reads back so many units that readings would look overdue meanwhile."""
+        return run.context.only_reads and len(self.schedule.poll_order) > MANY_UNITS
+
     def _leave_a_poll(self, now: Monotonic) -> bool:
-        """Return whether a poll goes before the next command: reads of parameters take at most every second
-        turn, so that polling goes on beside them."""
+        """Return whether a poll goes before the next command: reads of parameters, and those that read many
+        units back, take at most every second turn, so that polling goes on beside them."""
         if self.commands.group_changes or len(self.schedule.poll_order) == 0:
             return False
         if self._routine is None and not self.schedule.poll_may_leave(now):

@@ -157,6 +157,21 @@ async def test_who_reads_parameters_without_end_leaves_every_second_turn_to_the_
     assert left - requested_at <= POLL_S + 0.001, "a write is the next frame all the same"
 
 
+@played(24)
+async def test_the_read_back_of_many_units_leaves_every_second_turn_to_the_scan(line: VirtualLine) -> None:
+    await settled(line)
+    await line.until(lambda: all(line.raws[unit].keys() >= {2, 3, 8} for unit in line.units))
+    typed = {unit: {number: line.raws[unit][number] for number in (2, 3, 8)} for unit in line.units}
+    speeds = {unit: 500 + unit for unit in line.units if typed[unit][8] == 0}
+    result = await line.perform(
+        SetLine(speeds), timeout_s=10.0, typed_with={unit: typed[unit] for unit in speeds}
+    )
+    ended = line.loop.time()
+    assert result.outcome == "verified"
+    frames = [data for at, data in line.written if at < ended][-60:]
+    assert len([data for data in frames if len(data) == 7 and data[3] == 0x81]) >= 25
+
+
 @played(8)
 async def test_a_turn_kept_for_a_write_that_never_comes_costs_a_moment_and_the_units_no_turn(
     line: VirtualLine,

@@ -70,8 +70,8 @@ def timeout_s_for(bus: BusLive, staged_units: int = 0, *, typed: bool = False) -
 
 def longest_change_s(bus: BusLive, units: int) -> float:
     """Return the seconds after which the result of a change of several units is known at the latest, even if
-    it is withdrawn from each."""
-    return 2 * timeout_s_for(bus, units, typed=True)
+    it is withdrawn from each, or the scan has every second turn while what proves it is read."""
+    return 3 * timeout_s_for(bus, units, typed=True)
 
 
 A = TypeVar("A", bound=Action)

@@ -97,6 +97,8 @@ class CommandContext:
     dialect: Dialect
     cancelled: bool = False
     """Whether the procedure is to end at its next point where nothing is half done."""
+    only_reads: bool = False
+    """Whether a change of many units has acted and been seen to, and only reads again what proves it."""
     time_left_s: float = float("inf")
     """Seconds until the deadline, counted when the command was submitted."""
     exchange_s: float = 0.02

@@ -140,6 +140,7 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
             yield from _verify(member, sent, context)
         else:
             yield from _verify_unchanged(member, sent)
+    context.only_reads = True
     yield from _verify_scales([member for member in members if member.unit in knew])
     return _executed(members, sent, [] if knew else [Message("nothing_staged_here")])
 
@@ -298,6 +299,7 @@ def _verify_all(
     for done, member in enumerate(members):
         yield ReportProgress("proving", member.unit, done, len(members))
         yield from _verify(member, broadcast, context)
+    context.only_reads = not any(member.missed_broadcast for member in members)
     yield from _verify_scales(members)
     for member in members:
         if member.missed_broadcast:
@@ -332,6 +334,8 @@ def _verify_scales(members: Sequence[Member]) -> Subprocedure[None]:
     readings = {member.unit: ScaleReading(member.unit, member.scale) for member in succeeded}
     while any(reading.remaining for reading in readings.values()):
         for reading in readings.values():
+            # The app waits for a command for as long as it makes progress.
+            yield ReportProgress("proving", reading.unit, len(members), len(members))
             yield from reading.read_next()
     for member in succeeded:
         assert member.outcome is not None

@@ -316,7 +316,7 @@ def test_a_change_of_several_units_may_wait_for_its_stages_and_be_withdrawn_from
     assert timeout_s_for(bus) == timeout_s_for(slow) == DEFAULT_TIMEOUT_S
     assert timeout_s_for(bus) < timeout_s_for(bus, 3) < timeout_s_for(slow, 3)
     assert timeout_s_for(bus, 3) < timeout_s_for(bus, 3, typed=True)
-    assert longest_change_s(bus, 3) == 2 * timeout_s_for(bus, 3, typed=True)
+    assert longest_change_s(bus, 3) == 3 * timeout_s_for(bus, 3, typed=True)
 
 
 @pytest.fixture
