@@ -99,14 +99,22 @@ function watchUnit(form, part) {
 /** Why a review no longer holds for the unit that a part of it names; empty while it does. A row is watched only where
  * its unit takes part.
  * @param {HTMLElement} part @param {Fields} fields */
-export function whyOver({ dataset: { of: unit, watch: key, was, name, on, off } }, fields) {
+export function whyOver({ dataset: { of: unit, watch: key, was, name, on, off, signals } }, fields) {
   const [field, place] = key?.split("@") ?? [];
   const all = field ? value(field) : undefined;
   const bit = place ? /** @type {string | undefined} */ (all)?.charAt(Number(place)) : "";
   const present = place ? { 1: on, 0: off }[bit ?? ""] : all;
   const moved = present !== undefined && present !== was ? word("moved", present || "–") : "";
-  const reason = (unit || name ? whyNot(fields) : "") || moved;
+  const reason = (unit || name ? whyNot(fields) : "") || (signals && whyOtherEffect(signals, fields)) || moved;
   return name && reason ? `${name}: ${reason}` : reason;
+}
+
+/** Why a setpoint has another effect than the review says, which was drawn with these signals (Run, E-stop).
+ * @param {string} signals @param {Fields} fields */
+function whyOtherEffect(signals, { inputs = "" }) {
+  if (!inputs || inputs.startsWith(signals)) return "";
+  if (inputs[1] === signals[1]) return word("runMoved");
+  return word(inputs[1] === "1" ? "estopCame" : "estopWent");
 }
 
 /** Why a unit takes nothing from here any more; empty while it does. One that is late has not stopped responding.

@@ -103,6 +103,8 @@ async def test_a_unit_at_risk_is_named_by_every_review(house: House, way: str) -
     expected = [("risk_estop_active", "Unwind"), ("risk_run_off", "Unwind"), ("risk_no_ramp", "Unwind")]
     assert remarks(response) == expected
     assert "data-review-act" in response.text
+    # The browser ends it once these inputs change; a change to zero stays open.
+    assert re.findall(r'data-signals="(\d+)"', response.text)[:1] == ([] if way == "zero" else ["01"])
 
 
 async def test_a_change_of_several_names_units_left_out_and_why(house: House) -> None:
