@@ -9,6 +9,8 @@ import { isLive, timeOfDay } from "./live.js";
 import { word } from "./words.js";
 
 const LAPSE_MS = 30_000;
+/** What changes together is drawn once. */
+const REDRAW_MS = 300;
 const dialog = document.getElementById("review");
 const PLACE = "[data-review-place]";
 /** Where a review is open, or was last: one at a time. */
@@ -23,6 +25,8 @@ let endings = [];
 let early = null;
 /** A press is not carried out later than so. */
 const EARLY_MS = 2000;
+/** The lines that a person has left out of a review that is being drawn again. @type {string[]} */
+let unticked = [];
 /** How long ago what is being requested was pressed. */
 let agoMs = 0;
 
@@ -30,14 +34,17 @@ let agoMs = 0;
 function opened(place, source) {
   close();
   // What a review itself requests shows in the place of it.
-  if (source.isConnected && !place.contains(source)) reviewed = source.matches("form") ? /** @type {HTMLFormElement} */ (source) : null;
+  if (source.isConnected && !place.contains(source))
+    reviewed = source.matches("form") ? /** @type {HTMLFormElement} */ (source) : null;
   if (content !== place) content.replaceChildren();
   content = place;
   if (!content.firstElementChild) return;
   if (!content.querySelector("[data-review-cancel]")) content.append(closer());
   // How a former one ended is no word about this one; what was added to the tray may be sent by it.
-  for (const words of document.querySelectorAll("[role=status] > :is([data-review-end], [data-added])")) words.remove();
+  for (const words of document.querySelectorAll("[role=status] > :is([data-review-end], [data-added])"))
+    words.remove();
   show();
+  untick();
   const form = content.querySelector("[data-review]");
   if (form) watch(form);
 }
@@ -78,6 +85,46 @@ function watch(form) {
   bar?.animate([{ scale: "1 1" }, { scale: "0 1" }], { duration: LAPSE_MS, fill: "forwards" });
   endings.push(() => clearTimeout(timer));
   for (const part of [form, ...form.querySelectorAll("[data-watch]")]) watchUnit(form, part);
+  const drawn = /** @type {HTMLElement | null} */ (form.querySelector("[data-review-units]"));
+  if (drawn) redrawWith(drawn);
+}
+
+/** A change to zero is not over when a unit of its line can no longer take it, or takes it otherwise: the review is drawn
+ * again, and says so before it is confirmed.
+ * @param {HTMLElement} part */
+function redrawWith(part) {
+  let timer = 0;
+  const redraw = () => {
+    unticked = boxes(content).flatMap((box) => (box.checked ? [] : box.value));
+    part.dispatchEvent(new CustomEvent("lineside:redraw"));
+  };
+  for (const unit of part.dataset.reviewUnits?.split(" ") ?? []) {
+    const drawn = takes(fieldsOf(unit));
+    endings.push(
+      listen(unit, (fields) => {
+        if (takes(fields) !== drawn) timer ||= setTimeout(redraw, REDRAW_MS);
+      }),
+    );
+  }
+  endings.push(() => clearTimeout(timer));
+}
+
+/** Whether and how a unit takes a change to zero. @param {Fields | undefined} fields */
+const takes = (fields) => fields && [whyNot(fields), signalsOf(fields)].join();
+
+/** @param {HTMLElement} place */
+const boxes = (place) => [
+  .../** @type {NodeListOf<HTMLInputElement>} */ (place.querySelectorAll("[data-verbs] input")),
+];
+
+/** What was left out stays so in the review that is drawn again. */
+function untick() {
+  const lines = content.querySelector("[data-verbs]");
+  if (lines && unticked.length) {
+    for (const box of boxes(content)) box.checked = !unticked.includes(box.value);
+    nameTicked(lines);
+  }
+  unticked = [];
 }
 
 /** One unit: the form names it; several: a row each, with the name.
@@ -105,14 +152,19 @@ export function whyOver({ dataset: { of: unit, watch: key, was, name, on, off, s
   const bit = place ? /** @type {string | undefined} */ (all)?.charAt(Number(place)) : "";
   const present = place ? { 1: on, 0: off }[bit ?? ""] : all;
   const moved = present !== undefined && present !== was ? word("moved", present || "–") : "";
-  const reason = (unit || name ? whyNot(fields) : "") || (signals && whyOtherEffect(signals, fields)) || moved;
+  const reason =
+    (unit || name ? whyNot(fields) : "") || (signals && whyOtherEffect(signals, fields)) || moved;
   return name && reason ? `${name}: ${reason}` : reason;
 }
 
+/** Run and E-stop, as a review was drawn with them. @param {Fields} fields */
+const signalsOf = ({ inputs }) => /** @type {string | undefined} */ (inputs)?.slice(0, 2) ?? "";
+
 /** Why a setpoint has another effect than the review says, which was drawn with these signals (Run, E-stop).
  * @param {string} signals @param {Fields} fields */
-function whyOtherEffect(signals, { inputs = "" }) {
-  if (!inputs || inputs.startsWith(signals)) return "";
+function whyOtherEffect(signals, fields) {
+  const inputs = signalsOf(fields);
+  if (!inputs || inputs === signals) return "";
   if (inputs[1] === signals[1]) return word("runMoved");
   return word(inputs[1] === "1" ? "estopCame" : "estopWent");
 }
@@ -172,7 +224,8 @@ function dismiss(detail = outcome()) {
   if (dialog.open) dialog.close();
   // A result in the place of the form: what was typed was sent.
   if (detail === "good" || (detail === "unknown" && !reviewed?.isConnected)) taken(reviewed);
-  else if (detail === "unknown") document.dispatchEvent(new CustomEvent("lineside:unknown", { detail: reviewed }));
+  else if (detail === "unknown")
+    document.dispatchEvent(new CustomEvent("lineside:unknown", { detail: reviewed }));
   reviewed = null;
   document.dispatchEvent(new CustomEvent("lineside:done", { detail }));
   content.replaceChildren();
@@ -182,11 +235,15 @@ function dismiss(detail = outcome()) {
 /** The button names the line that it sets to zero, or their number.
  * @param {HTMLElement} lines */
 function nameTicked(lines) {
-  const act = /** @type {HTMLButtonElement | null} */ (content.querySelector("[data-review]:not([data-pending]) [data-review-act]"));
+  const act = /** @type {HTMLButtonElement | null} */ (
+    content.querySelector("[data-review]:not([data-pending]) [data-review-act]")
+  );
   if (!act) return;
   const ticked = /** @type {NodeListOf<HTMLElement>} */ (lines.querySelectorAll("input:checked"));
   act.disabled = ticked.length === 0;
-  act.textContent = (ticked.length === 1 && ticked[0]?.dataset.verb) || JSON.parse(lines.dataset.verbs ?? "[]")[ticked.length];
+  act.textContent =
+    (ticked.length === 1 && ticked[0]?.dataset.verb) ||
+    JSON.parse(lines.dataset.verbs ?? "[]")[ticked.length];
 }
 
 /** Lock the form while its command is in progress, and show the progress.
@@ -227,7 +284,9 @@ function added(source) {
 function mark(source, isBusy) {
   const pressed = document.activeElement?.closest("button, a");
   const button = source.matches("form") ? (pressed && source.contains(pressed) ? pressed : null) : source;
-  if (!isBusy) for (const busy of document.querySelectorAll(":is(.button, a)[aria-busy]")) busy.removeAttribute("aria-busy");
+  if (!isBusy)
+    for (const busy of document.querySelectorAll(":is(.button, a)[aria-busy]"))
+      busy.removeAttribute("aria-busy");
   else if (button?.matches(".button")) button.setAttribute("aria-busy", "true");
 }
 
@@ -282,7 +341,8 @@ function repeatEarly() {
   early = null;
   if (!source?.isConnected || at === undefined || performance.now() - at > EARLY_MS) return;
   agoMs = performance.now() - at;
-  if (source.matches("form")) /** @type {HTMLFormElement} */ (source).requestSubmit(by?.isConnected ? by : null);
+  if (source.matches("form"))
+    /** @type {HTMLFormElement} */ (source).requestSubmit(by?.isConnected ? by : null);
   else source.click();
   agoMs = 0;
 }
@@ -353,7 +413,8 @@ export function start() {
     const { request, sourceElement: source } = event.detail.ctx;
     // A part of the page may come before the first message of the server; what was pressed is carried out then.
     if (!isLive() && !(request.method === "GET" && isAutomatic(source))) {
-      if (document.body.dataset.link !== "lost") early = { source, submitter: request.submitter ?? null, at: performance.now() };
+      if (document.body.dataset.link !== "lost")
+        early = { source, submitter: request.submitter ?? null, at: performance.now() };
       return event.preventDefault();
     }
     if (!isAutomatic(source)) mark(source, true);

@@ -7,9 +7,12 @@
   const NEAR_PX = 40;
   const STORED = "lineside-last-tap";
   /** All but the keys of a number pad, on which a digit is typed twice, and what leads on through the tour. */
-  const ACTS = "button:not([data-pad], [data-keypad-next], [data-tour-next]), input[type=submit], a:is([hx-get], [hx-post])";
-  /** Which send something: also not where another has just been pressed at the same place. */
-  const SENDS = ":is([type=submit], :not([type]), [hx-get], [hx-post], [data-sound-press])";
+  const ACTS =
+    "button:not([data-pad], [data-keypad-next], [data-tour-next]), input[type=submit], a:is([hx-get], [hx-post])";
+  /** Which send something, or close a review that has just come under the finger: also not where another has just been
+   * pressed at the same place. */
+  const SENDS =
+    ":is([type=submit], :not([type]), [hx-get], [hx-post], [data-sound-press], [data-review-cancel])";
   /** @type {Element | null} */
   let button = null;
   /** In a browser that keeps nothing: of this page alone.

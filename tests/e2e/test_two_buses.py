@@ -117,6 +117,23 @@ def test_zero_covers_both_with_a_result_for_each(site: Site, shared_page: OpensP
     assert {state(wet(site), unit)["setpoint"] for unit in (1, 2)} == {0}
 
 
+def test_a_review_of_zero_follows_what_its_units_can_take(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/trends")
+    page.get_by_role("button", name="Set lines to zero").click()
+    review, wet_box = page.locator("#review [data-review]"), page.get_by_role("checkbox", name="wet")
+    wet_box.uncheck()
+    expect(review).not_to_contain_text("left out")
+    site.line.remote.do("mode", unit=2, to="local")
+    try:
+        expect(review).to_contain_text("left out: not in REMOTE")
+        expect(page.get_by_role("checkbox", name="line")).to_be_checked()
+        expect(wet_box).not_to_be_checked()
+        expect(page.locator("[data-review-act]")).to_have_text("Set line line to zero")
+    finally:
+        site.line.remote.do("mode", unit=2, to="remote")
+    expect(review).not_to_contain_text("left out")
+
+
 def test_one_line_alone_is_set_to_zero(site: Site, shared_page: OpensPages) -> None:
     """Where its box is the only ticked one, by the keyboard, and from the page of one of its units."""
     for bus in ("line", "wet"):

@@ -84,3 +84,12 @@ test("the next page knows the tap, and a browser that keeps nothing that of this
   assert.ok(press(button, 0));
   assert.ok(!press(button, 500));
 });
+
+test("what closes a review that has just come under the finger is not pressed by its second tap", async () => {
+  const { press } = await openBrowser();
+  const cancel = new Element();
+  cancel.matches = (/** @type {string} */ selector) => selector.includes("[data-review-cancel]");
+  assert.ok(press(new Element({ sends: true }), 0));
+  assert.ok(!press(cancel, 450));
+  assert.ok(press(cancel, 1500));
+});

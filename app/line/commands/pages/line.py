@@ -250,6 +250,7 @@ async def review_zero(person: Viewer, page: Page, bus: str | None = None) -> Res
         left_out={plan.bus: by_remark(plan.left_out) for plan in plans.values()},
         held={bus: objection for bus, objection in objections.items() if objection},
         asked=bus,
+        units_shown=[f"{each.name}/{unit}" for each in plans for unit in each.bus.units],
         others=[name for name in page.live.buses if name not in objections],
         many=len(page.live.buses) > 1,
         longest_s=max((_longest_s(each.bus, len(plan.units)) for each, plan in plans.items()), default=0.0),
