@@ -143,6 +143,11 @@ def risks_of(
     return tuple(found)
 
 
+def is_held(risks: Iterable[Message]) -> bool:
+    """Return whether risks have it that a new setpoint does not take effect now."""
+    return any(risk.code in ("risk_estop_active", "risk_run_off") for risk in risks)
+
+
 def _is_above_display(unit: UnitLive, raw: int) -> bool:
     """Return whether a speed is above #2, which only an engineer's limit allows."""
     return kind_of(unit) == "speed" and raw > (unit.parameter_raw(MAX_DISPLAY) or HIGHEST_SETPOINT)
@@ -312,6 +317,26 @@ def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]
         changes.append((now.tenths is None, DrawChange(text, is_out)))
     found = [change for _, change in sorted(changes, key=lambda each: (not each[1].is_out, each[0]))]
     return [*found, DrawChange(Message.of("draws_stay", names=staying), False)] if staying else found
+
+
+def leaves_band(bus: BusLive, setpoints: Mapping[int, int]) -> bool:
+    """Return whether setpoints, raw by unit, move a draw out of its band, or farther out than it is."""
+    for unit, seam in bus.seams.items():
+        pair = bus.units[seam.before], bus.units[unit]
+        if setpoints.keys().isdisjoint((unit, seam.before)) or any(map(follower, pair)):
+            continue
+        now, then = _draw(bus, pair, seam, {}), _draw(bus, pair, seam, setpoints)
+        if then.state == "out_of_band" and _excess(then, seam) > _excess(now, seam):
+            return True
+    return False
+
+
+def _excess(draw: Draw, seam: Seam) -> Decimal:
+    """Return by how much a draw is outside its band, in percent; 0 where it is not known."""
+    if draw.tenths is None or not seam.band:
+        return Decimal(0)
+    low, high = seam.band
+    return max(low - percent_of(draw.tenths), percent_of(draw.tenths) - high, Decimal(0))
 
 
 def _commanded(units: Iterable[UnitLive]) -> dict[int, int]:

@@ -20,6 +20,7 @@ from app.line.commands.review import (
     by_remark,
     change_of,
     draw_changes,
+    leaves_band,
     nudges,
     obstacle_of,
     outcome_of_all,
@@ -185,6 +186,18 @@ def test_a_neighbor_that_stays_is_named_with_its_speed_and_the_draw() -> None:
         " außerhalb seines Bandes von \N{MINUS SIGN}0,5 bis 2,0 %",
         True,
     )
+
+
+def test_a_step_out_of_a_band_is_told_from_one_towards_it() -> None:
+    bus = at_120(**BANDED)
+    assert not leaves_band(bus, {2: 1201})
+    assert leaves_band(bus, {2: 1300})
+    assert leaves_band(bus, {2: 1140})
+    assert not leaves_band(at_120(), {2: 1300})
+    bus.apply([reading(2, commanded=1300, actual=1300)])
+    assert not leaves_band(bus, {2: 1290}), "towards the band"
+    assert leaves_band(bus, {2: 1301})
+    assert not leaves_band(bus, {4: 1201}), "a draw that is out already, of units that stay"
 
 
 def test_without_a_band_a_changed_draw_is_stated_quietly() -> None:

@@ -255,6 +255,15 @@ async def test_executing_leaves_a_unit_that_cannot_where_it_is(house: House) -> 
     assert ("<button" in strip.text, "choose REMOTE at the keypad" in strip.text) == (False, True)
 
 
+@for_each("inputs", [RUN, HEALTHY])
+async def test_a_nudge_that_takes_no_effect_now_is_reviewed(house: House, inputs: int) -> None:
+    report(house, 1, inputs=inputs)
+    form = {"step": "1", "id": "n" * 32, "scale": "-"}
+    response = await operator(house).post("/units/dry-end/1/nudge", data=form)
+    assert remarks(response)[0][1] == "Unwind"
+    assert "data-review-act" in response.text
+
+
 async def test_a_staged_value_has_no_risk_yet(house: House) -> None:
     report(house, 1, inputs=0)
     assert remarks(await single(house, how="stage")) == []

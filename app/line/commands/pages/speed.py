@@ -14,7 +14,7 @@ from app.core.web.routes import GuardedRoute
 from app.errors import Problem
 from app.line.commands.catalogue import EXECUTE_SPEED, SET_SPEED
 from app.line.commands.page_context import Confirmed, PageOfUnit, ReviewedScale, UnitPage
-from app.line.commands.review import draw_changes, nudges
+from app.line.commands.review import draw_changes, is_held, leaves_band, nudges
 from app.line.commands.service import permitted, permitted_writer
 from app.line.conditions.condition import follower
 from bus.contract import ExecuteSpeed, Result, SetSpeed, UnitScale
@@ -110,14 +110,15 @@ async def nudge(
     id: Annotated[str, Form(max_length=64)],
     scale: ReviewedScale,
 ) -> Response:
-    """Send a small step from the unit's present setpoint, or review a step that is larger than allowed."""
+    """Send a small step from the unit's present setpoint, or review one that is larger than allowed, that
+    moves a draw out of its band, or that takes no effect now."""
     try:
         if page.present is None:
             raise Problem(409, "unknown", Message("setpoint_unknown"))
         raw = page.present + step
         if raw < 0:
             raise Problem(422, "invalid", Message("step_below_zero"), nearest=0)
-        if not _is_small(page, step):
+        if not _is_small(page, step) or _has_to_be_told(page, raw):
             return await review_setpoint(page, raw, execute=True, typed_with=scale)
         result = await page.send(SetSpeed(unit=page.id, raw=raw), id, scales={page.id: scale})
     except Problem as problem:
@@ -130,6 +131,10 @@ async def nudge(
 def _is_small(page: UnitPage, step: int) -> bool:
     allowed = page.guards.limits(page.id).largest_step
     return abs(step) <= (max(nudges(page.unit), default=0) if allowed is None else allowed)
+
+
+def _has_to_be_told(page: UnitPage, raw: int) -> bool:
+    return is_held(page.change(page.id, raw).risks) or leaves_band(page.bus, {page.id: raw})
 
 
 @router.get("/execute", dependencies=[permitted(EXECUTE_SPEED)])
