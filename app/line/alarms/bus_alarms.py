@@ -27,6 +27,7 @@ from app.line.live.bus_live import (
     Audience,
     BusLive,
     UnitLive,
+    draw_numbers,
     offline_after_s,
     scan_s_of,
     stale_after_s,
@@ -317,6 +318,8 @@ class _UnitMonitor:
         """Return the present value that an alarm is about; None if it is about none."""
         if alarm is self._implausible:
             return unit_conditions.implausible_of(self._unit)
+        if alarm is self._draw:
+            return draw_numbers(self._bus, self._unit, self._unit.draw)
         own = self._own.get(alarm.definition.key)
         return None if own is None else own[1].present(self._bus, self._unit)
 

@@ -23,7 +23,7 @@ from app.line.commands.values import (
     setpoint_message,
     setpoint_scale,
 )
-from app.line.conditions.condition import Draw, SectionSpeed, draw_between, percent_of
+from app.line.conditions.condition import Draw, SectionSpeed, draw_between, percent_message, percent_of
 from app.line.live.bus_live import (
     BusLive,
     UnitLive,
@@ -47,7 +47,7 @@ from bus.catalogue.parameters import (
 from bus.contract import Outcome, Result, UnitOutcome, UnitScale
 from bus.errors import CallerError, unit_error
 from bus.instants import UnixTime
-from bus.messages import Message, joined, number
+from bus.messages import Message, joined
 from bus.settings import DrawBand, Seam
 
 REVIEW_LASTS_S = 45.0
@@ -308,11 +308,11 @@ def draw_changes(bus: BusLive, setpoints: Mapping[int, int]) -> list[DrawChange]
         if now.tenths is None and not is_out and then.tenths == commanded.tenths:
             staying.append(bus.units[unit].settings.name)
             continue
-        text = _draw_text(*pair, setpoints, _percent(percent_of(then.tenths), "+"))
+        text = _draw_text(*pair, setpoints, percent_message(percent_of(then.tenths), "+"))
         if now.tenths is not None:
-            text = Message.of("draw_instead_of", text=text, now=_percent(percent_of(now.tenths), "+"))
+            text = Message.of("draw_instead_of", text=text, now=percent_message(percent_of(now.tenths), "+"))
         if is_out:
-            low, high = map(_percent, seam.band)
+            low, high = map(percent_message, seam.band)
             text = Message.of("draw_and_band", text=text, low=low, high=high)
         changes.append((now.tenths is None, DrawChange(text, is_out)))
     found = [change for _, change in sorted(changes, key=lambda each: (not each[1].is_out, each[0]))]
@@ -394,11 +394,6 @@ def _draw_text(before: UnitLive, unit: UnitLive, setpoints: Mapping[int, int], d
 def _stays_at(unit: UnitLive) -> Message:
     commanded = None if unit.reading is None else unit.reading.commanded
     return in_measure(setpoint_message(commanded, unit), measure_of_setpoint(unit))
-
-
-def _percent(percent: Decimal, sign: str = "") -> Message:
-    text = f"{percent:{sign}}".replace("-", "\N{MINUS SIGN}")
-    return number(text if percent else text.replace("+", "±"))
 
 
 Tone = Literal["good", "bad", "unknown"]

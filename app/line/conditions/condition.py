@@ -14,7 +14,7 @@ from typing import Generic, Literal, NamedTuple, Protocol, TypeVar, get_args
 from bus.catalogue.parameters import FOLLOWER_MODE
 from bus.catalogue.values import StatusBits, is_follower
 from bus.contract import BusFigures, ParameterValue, Reading
-from bus.messages import TEXTS, Message
+from bus.messages import TEXTS, Message, number
 from bus.settings import BusSettings, DrawBand, UnitSettings
 
 DrawState = Literal["in_band", "out_of_band", "ramping", "unknown", "none"]
@@ -66,6 +66,12 @@ def draw_between(before: SectionSpeed, section: SectionSpeed, band: DrawBand, *,
 def percent_of(tenths: int) -> Decimal:
     """Return a draw as a number of percent."""
     return Decimal(tenths).scaleb(-DRAW_DECIMALS)
+
+
+def percent_message(percent: Decimal, sign: str = "") -> Message:
+    """Return a number of percent as the reader's language writes it; ``sign`` "+": always with its sign."""
+    text = f"{percent:{sign}}".replace("-", "\N{MINUS SIGN}")
+    return number(text if percent else text.replace("+", "±"))
 
 
 def _tenths(before: int, section: int) -> int:

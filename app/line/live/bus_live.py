@@ -30,6 +30,8 @@ from app.line.conditions.condition import (
     SectionSpeed,
     UnitValues,
     draw_between,
+    percent_message,
+    percent_of,
     reads_ratio,
 )
 from app.line.conditions.condition import follower as follower
@@ -592,6 +594,16 @@ def draw_of(bus: BusLive, unit: UnitLive, now: UnixTime) -> Draw:
     judged = before.motion.state in SETTLED and unit.motion.state in SETTLED
     speeds = _actual_speed(bus, before, now), _actual_speed(bus, unit, now)
     return draw_between(*speeds, seam.band, judged=judged)
+
+
+def draw_numbers(bus: BusLive, unit: UnitLive, draw: Draw) -> Message | None:
+    """Return a draw with the section that it is to and its band; None where it is not known or has none."""
+    seam = bus.seams.get(unit.settings.id)
+    if seam is None or not seam.band or draw.tenths is None:
+        return None
+    low, high = map(percent_message, seam.band)
+    shown, before = percent_message(percent_of(draw.tenths), "+"), bus.units[seam.before].settings.name
+    return Message.of("draw_numbers", draw=shown, before=before, low=low, high=high)
 
 
 def both_run(bus: BusLive, unit: UnitLive) -> bool:

@@ -18,12 +18,14 @@ from typing import NamedTuple
 from app.core.web.formats import UNKNOWN
 from app.line.conditions.catalogue import TILES, tile_text
 from app.line.conditions.condition import PRIORITIES
+from app.line.conditions.unit import DRAW_OUT_OF_BAND
 from app.line.live.bus_live import (
     BusLive,
     LiveState,
     MotionState,
     UnitLive,
     both_run,
+    draw_numbers,
     draw_of,
     figures_now,
     follower,
@@ -459,6 +461,10 @@ class Screen:
         alarm = self.sources.unit_alarm(bus_name, number, self.translator, now)
         status = moves = joined(fields["state_text"])
         check, self._briefs[key] = check_text(cause, self.translator), (moves, "")
+        draw = draw_of(bus, unit, now)
+        if cause is not None and cause.code == DRAW_OUT_OF_BAND.code:
+            numbers = draw_numbers(bus, unit, draw)
+            check = " · ".join([*([self.translator.t(numbers)] if numbers else []), check])
         if texts is not None:
             self._briefs[key] = texts.brief, texts.since
             is_said = _says_since(alarm, cause, bus_name, number)
@@ -476,8 +482,7 @@ class Screen:
             check = " · ".join(filter(None, (check, shelved)))
         else:
             status = " · ".join(filter(None, (status, shelved)))
-        draw, run = draw_of(bus, unit, now), both_run(bus, unit)
-        fields |= draw_fields(draw, self.translator, both_run=run)
+        fields |= draw_fields(draw, self.translator, both_run=both_run(bus, unit))
         of_bus = connection_cause(bus, now)
         # Abnormal once, at its bus; its own page has the mark of that cause. What is beside running has none.
         page_level = of_bus.level if of_bus and cause and of_bus.code == cause.code else view.level

@@ -402,6 +402,8 @@ def test_a_draw_out_of_band_is_an_alarm_while_both_sections_respond_and_stays_on
     assert bus.present() == set()
     run(2, actual=1030)
     assert bus.present() == {"2.draw_out_of_band"}
+    value = bus.alarms.present(bus.alarm("2.draw_out_of_band"))
+    assert str(value) == f"+3.0 % to {bus.live.units[1].settings.name}, band \N{MINUS SIGN}1 to 2 %"
     run(3, actual=1030, commanded=1100, outputs=REMOTE)
     assert bus.state("2.draw_out_of_band") == "unack_active", "each step of a setpoint would call again"
     run(3)
