@@ -49,18 +49,27 @@ class AlarmRow(NamedTuple):
 
 
 def _list_fields(
-    alarms: LineAlarms, chosen: dict[str, str], now: UnixTime, shown: Sequence[str] = ()
+    alarms: LineAlarms,
+    chosen: dict[str, str],
+    now: UnixTime,
+    shown: Sequence[str] = (),
+    came: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the fields of the list of alarms. ``shown``: the keys of the rows that a person sees. These stay
-    in their places, even if they match no longer, and new alarms come after them."""
+    in their places, even if they match no longer, and new alarms come after them; ``came``: which of the rows
+    came so since the list was sorted. They may be out of sight: what acknowledges all leaves them out."""
     known = (alarms.known(key) for key in shown)
     kept = dict.fromkeys(alarm for alarm in known if alarm is not None)
     new = [alarm for alarm in alarms.present() if alarm not in kept and _matches(alarm, chosen)]
     found = [*kept, *new]
     rows = [_row(alarms, alarm, now) for alarm in found[:MAX_ROWS]]
+    late = {*came, *(alarm.definition.key for alarm in new)} if shown else set()
+    waiting = [row for row in rows if row.alarm.is_unacknowledged]
     return {
         "rows": rows,
-        "waiting": [row.alarm.id for row in rows if row.alarm.is_unacknowledged],
+        "late": late,
+        "waiting_late": [row for row in waiting if row.alarm.definition.key in late],
+        "waiting": [row.alarm.id for row in waiting if row.alarm.definition.key not in late],
         "more": max(0, len(found) - MAX_ROWS),
         "query": _query(chosen),
         "is_filtered": any(chosen.values()),
@@ -224,9 +233,10 @@ async def alarms_list(
     alarms: Alarms,
     chosen: ChosenFilters,
     shown: Annotated[ShownKeys, Query(max_length=MAX_ROWS)] = (),
+    came: Annotated[ShownKeys, Query(max_length=MAX_ROWS)] = (),
 ) -> Response:
     """Show only the rows of the list; alarms that are shown keep their places."""
-    return _list(request, alarms, chosen, shown)
+    return _list(request, alarms, chosen, shown, came)
 
 
 def _list(
@@ -234,13 +244,14 @@ def _list(
     alarms: LineAlarms,
     chosen: dict[str, str],
     shown: Sequence[str],
+    came: Sequence[str],
     left_out: int = 0,
     acknowledged: int = 0,
 ) -> Response:
     return render(
         request,
         "alarms/_list.html",
-        **_list_fields(alarms, chosen, unix_now(), shown),
+        **_list_fields(alarms, chosen, unix_now(), shown, came),
         left_out=left_out,
         acknowledged=acknowledged,
     )
@@ -318,6 +329,7 @@ async def acknowledge_shown(
     chosen: ChosenFilters,
     id: Annotated[list[str], Form(max_length=MAX_ROWS)],
     shown: Annotated[ShownKeys, Form(max_length=MAX_ROWS)] = (),
+    came: Annotated[ShownKeys, Form(max_length=MAX_ROWS)] = (),
 ) -> Response:
     """Acknowledge the alarms that the person saw. An alarm that has changed since is left as it is, and the
     page reports it. A list keeps the places of its rows."""
@@ -328,7 +340,7 @@ async def acknowledge_shown(
         except Problem:
             left_out += 1
     if shown:
-        response = _list(request, alarms, chosen, shown, left_out, len(id) - left_out)
+        response = _list(request, alarms, chosen, shown, came, left_out, len(id) - left_out)
         response.headers["HX-Retarget"], response.headers["HX-Reswap"] = "#alarms", "innerMorph"
         return response
     query = _query(chosen | ({"left_out": str(left_out)} if left_out else {}))

@@ -325,6 +325,13 @@ async def test_no_row_moves_until_the_list_is_opened_again(house: House) -> None
     redrawn = await operator.get("/alarms/list", params={"shown": shown})
     assert rows(redrawn.text) == [ESTOP, local, f"{BUS}.2.estop_active"]
     assert "normal" in redrawn.text
+    said = redrawn.text
+    assert re.search(r"1 new alarm is last in the list: .* · Emergency stop", said)
+    assert re.findall(r'name="came" value="([^"]+)"', redrawn.text) == [f"{BUS}.2.estop_active"]
+    query = {"shown": rows(redrawn.text), "came": [f"{BUS}.2.estop_active"]}
+    again = await operator.get("/alarms/list", params=query)
+    together = again.text[again.text.index("alarm-order") : again.text.index("alarms-result")]
+    assert f"{BUS}.2.estop_active" not in together, "what acknowledges all leaves out who came out of sight"
     assert rows(await page(operator, "/alarms")) == [f"{BUS}.2.estop_active", local]
 
 
