@@ -432,11 +432,12 @@ class AlarmBanner:
         return alarm.definition.attributes.on_delay_s
 
     def since(self, place: str, code: str) -> UnixTime | None:
-        """Return since when a condition of a unit or bus is an active alarm; None if it is none."""
+        """Return since when a condition of a unit or bus is an active alarm; None if it is none. A gap in
+        which nobody knows it does not change that time."""
         alarm = self._of(place, code)
-        if alarm is None or not alarm.is_annunciated or not alarm.facts.active or alarm.is_unknown:
+        if alarm is None or not alarm.is_annunciated or not alarm.facts.active:
             return None
-        return alarm.state_at
+        return alarm.facts.came or alarm.facts.since
 
     def shelved_until(self, place: str, code: str) -> UnixTime | None:
         """Return until when the alarm of a condition of a unit or bus is shelved; None if it is not."""

@@ -418,10 +418,11 @@ class BusLive:
 
 
 def _keeps_draw(unit: UnitLive, at: UnixTime) -> bool:
-    """Return whether a draw out of its band stays so while a section ramps, as its alarm does."""
+    """Return whether a draw out of its band stays so while it is not judged, as its alarm does: a section
+    ramps, or the one before has not responded again after a gap."""
     onset = unit.onsets.since.get(DRAW_OUT_OF_BAND.code)
     lasted = onset is not None and at - onset.at >= DRAW_OUT_OF_BAND.tuning.on_delay_s
-    return lasted and unit.draw.state == "ramping"
+    return lasted and DRAW_OUT_OF_BAND.holds(unit.draw) is None
 
 
 def changed_by(bus: BusLive, updates: Sequence[Update]) -> tuple[list[int], bool]:

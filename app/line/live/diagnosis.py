@@ -292,12 +292,15 @@ def is_beside_running(cause: Cause | None) -> bool:
 
 
 def _draw(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
-    """Return a draw out of its band as a cause, once it has lasted for the delay of its alarm."""
+    """Return a draw out of its band as a cause, once it has lasted for the delay of its alarm. While it is
+    not judged it stays as it was, unless the unit before is lost, so that nobody knows it."""
     onset = unit.onsets.since.get(DRAW_OUT_OF_BAND.code)
     if onset is None or now - onset.at < DRAW_OUT_OF_BAND.tuning.on_delay_s:
         return None
     draw = draw_of(bus, unit, now)
-    if not DRAW_OUT_OF_BAND.holds(draw) and draw.state != "ramping":
+    before = bus.units[bus.seams[unit.settings.id].before]
+    is_lost = draw.state == "unknown" and unit_link_now(bus, before, now) in ("offline", "unknown")
+    if DRAW_OUT_OF_BAND.holds(draw) is False or is_lost:
         return None
     return abnormal(DRAW_OUT_OF_BAND.code, onset)
 

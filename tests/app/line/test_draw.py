@@ -170,6 +170,28 @@ def test_the_verdict_names_a_draw_once_it_lasts(seconds: float, level: str) -> N
     assert page.flat()["line_summary.level"] == level, "as its alarm stays, while a section ramps"
 
 
+def test_a_draw_out_of_band_keeps_its_cause_and_time_over_a_gap_without_responses() -> None:
+    """Its alarm has not cleared: nobody saw that."""
+    bus = run_out_of_band(6.0)
+    live = LiveState([bus.settings], 0.0)
+    live.buses["dry"] = bus
+    page = screen(live)
+    page.refresh(107.0)
+    before = page.flat()["line_summary.verdict"]
+    assert "Draw out of band since" in before
+
+    def shown(at: float) -> str:
+        page.refresh(at)
+        return str(page.flat()["line_summary.verdict"])
+
+    bus.apply([reading(2, 111.0)])
+    assert (bus.units[2].draw.state, shown(111.0)) == ("unknown", before)
+    bus.apply([reading(1, 111.2, 1142, 1142), reading(2, 111.4)])
+    assert shown(111.4) == before
+    bus.apply([reading(1, 111.6), reading(2, 111.8)])
+    assert "Draw" not in shown(111.8)
+
+
 UNITS = tuple({"id": n, "name": f"Unit {n}"} for n in (1, 2, 3))
 
 
