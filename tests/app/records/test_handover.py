@@ -74,6 +74,20 @@ async def test_the_figures_of_a_sheet_are_as_new_as_the_sheet(house: House) -> N
     assert (await sheet(viewer))["line"]["alarms"] == counted + 1
 
 
+async def test_the_list_asks_for_figures_again_until_it_has_them(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    first = (await viewer.get("/shifts")).text
+    assert "being read" in first
+    assert 'hx-trigger="every 1s"' in first
+    for _ in range(100):
+        await asyncio.sleep(0.1)
+        last = (await viewer.get("/shifts")).text
+        if "every 1s" not in last:
+            break
+    assert "being read" not in last
+    assert "every 1s" not in last
+
+
 async def write(client: httpx.AsyncClient, text: str, key: str = "", **more: Any) -> httpx.Response:
     headers = {"Idempotency-Key": key} if key else {}
     body = {"text": text, **more}
