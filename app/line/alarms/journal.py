@@ -28,6 +28,7 @@ from app.line.alarms.performance import (
     ObservedSpan,
     figures,
     observed_within,
+    pace_of,
 )
 from app.line.alarms.rules import AlarmFacts, AlarmState, AlarmTrigger, Transition
 from app.line.conditions.condition import AlarmPriority
@@ -320,8 +321,7 @@ MAX_FREQUENT = 10
 _ANNUNCIATED = "after = 'unack_active' AND before <> 'unack_active'"
 _IN_SPAN = f"{_ANNUNCIATED} AND at >= :start AND at < :end"
 _OBSERVED = "SELECT starts, ends FROM alarm_observed WHERE ends > :start AND starts < :end"
-_WINDOW = f"CAST(at / {WINDOW_S} AS INTEGER)"
-_WINDOWS = f"SELECT {_WINDOW}, COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
+_TIMES = f"SELECT at FROM alarm_journal WHERE {_IN_SPAN} ORDER BY at"
 _PRIORITIES = f"SELECT priority, COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
 _FREQUENT = (
     "SELECT alarm, max(code), max(name), max(bus), max(unit), COUNT(*) AS times FROM alarm_journal"
@@ -414,7 +414,7 @@ def _measured(
     frequent = [FrequentAlarm(*row) for row in connection.execute(_FREQUENT, span)]
     measured = AlarmCounts(
         observed_s=observed_s,
-        in_windows=dict(tuple(row) for row in connection.execute(_WINDOWS, span)),
+        pace=pace_of((at for (at,) in connection.execute(_TIMES, span)), float(end)),
         top_ten=sum(each.times for each in frequent),
         of_priority=dict(tuple(row) for row in connection.execute(_PRIORITIES, span)),
         chattering=int(value(_CHATTERING) or 0),

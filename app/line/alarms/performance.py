@@ -6,8 +6,9 @@ Pure: counts and times are passed in.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
@@ -17,7 +18,7 @@ from app.line.conditions.condition import PRIORITIES, AlarmPriority
 from bus.instants import DAY_S, UnixTime
 
 WINDOW_S = 600
-"""Rates are measured in windows of ten minutes."""
+"""Rates are measured in ten minutes, which slide along."""
 MANY = 10
 """The alarms in a window above which a flood begins: a person cannot respond to them."""
 FEW = 5
@@ -95,14 +96,45 @@ def judged(code: FigureCode, value: float | None) -> AlarmFigure:
     return AlarmFigure(code, value, at_most, at_least, met)
 
 
+class AlarmPace(NamedTuple):
+    """How many alarms came, the most within ten minutes, and the seconds with more than ten in the ten
+    minutes before, and in floods: from more than ten until fewer than five."""
+
+    total: int
+    peak: int
+    over_s: float
+    flood_s: float
+
+
+def pace_of(came: Iterable[float], end: float) -> AlarmPace:
+    """Return the pace of alarms until ``end`` by ten minutes that slide along, as `AlarmRates` counts them.
+    ``came``: when each came, in order."""
+    window: deque[float] = deque()
+    total, peak, over_s, flood_s, is_flood, since = 0, 0, 0.0, 0.0, False, 0.0
+    for at in chain(came, (end,)):
+        peak = max(peak, len(window))
+        while True:
+            expires = window[0] + WINDOW_S if window else at
+            until = min(at, expires)
+            is_flood = len(window) > MANY or (is_flood and len(window) >= FEW)
+            over_s += (until - since) * (len(window) > MANY)
+            flood_s += (until - since) * is_flood
+            since = until
+            if not window or expires > at:
+                break
+            window.popleft()
+        window.append(at)
+        total += 1
+    return AlarmPace(total - 1, peak, over_s, flood_s)
+
+
 @dataclass(frozen=True, slots=True)
 class AlarmCounts:
     """The counts of the journal over a span in which alarms were observed for ``observed_s``, and the present
-    states. ``in_windows``: alarms annunciated in each window of ten minutes that has any; ``top_ten``: how
-    often the ten most frequent alarms came."""
+    states. ``top_ten``: how often the ten most frequent alarms came."""
 
     observed_s: float
-    in_windows: Mapping[int, int]
+    pace: AlarmPace
     top_ten: int
     of_priority: Mapping[AlarmPriority, int]
     chattering: int
@@ -121,16 +153,16 @@ def figures(measured: AlarmCounts) -> list[AlarmFigure]:
 
 
 def _measured(measured: AlarmCounts) -> dict[FigureCode, float | None]:
-    total = sum(measured.in_windows.values())
-    windows = max(1.0, measured.observed_s / WINDOW_S)
-    over = sum(count > MANY for count in measured.in_windows.values())
+    total, peak, over_s, flood_s = measured.pace
+    observed_s = max(WINDOW_S, measured.observed_s)
+    windows = observed_s / WINDOW_S
     return {
         "annunciated": total,
         "per_day": total / windows * DAY_S / WINDOW_S,
         "per_10_minutes": total / windows,
-        "peak_10_minutes": max(measured.in_windows.values(), default=0),
-        "windows_over_10": min(1.0, over / windows),
-        "flood_share": min(1.0, sum(1 for _ in flooded(measured.in_windows)) / windows),
+        "peak_10_minutes": peak,
+        "windows_over_10": min(1.0, over_s / observed_s),
+        "flood_share": min(1.0, flood_s / observed_s),
         "top_ten_share": _share(measured.top_ten, total) if total >= MIN_FOR_TOP_TEN else None,
         "chattering": measured.chattering,
         "fleeting": measured.fleeting,
@@ -141,17 +173,6 @@ def _measured(measured: AlarmCounts) -> dict[FigureCode, float | None]:
         },
         "acknowledge_median_s": measured.acknowledge_median_s,
     }
-
-
-def flooded(in_windows: Mapping[int, int]) -> Iterator[int]:
-    """Yield the windows of each flood: from one with more than ten alarms until one has fewer than five."""
-    last = None
-    for window in sorted(in_windows):
-        count = in_windows[window]
-        goes_on = last is not None and window == last + 1 and count >= FEW
-        if count > MANY or goes_on:
-            last = window
-            yield window
 
 
 def _share(part: int, total: int) -> float | None:

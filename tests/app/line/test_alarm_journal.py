@@ -25,16 +25,17 @@ from app.line.alarms.performance import (
     MIN_FOR_TOP_TEN,
     WINDOW_S,
     AlarmCounts,
+    AlarmPace,
     AlarmRates,
     ObservedSpan,
     figures,
-    flooded,
     observed_until,
+    pace_of,
 )
 from bus.instants import UnixTime
 
 T = 1_790_000_400.0
-"""The start of a window of ten minutes."""
+"""When the journals of these tests begin."""
 
 
 class Journal:
@@ -100,7 +101,7 @@ async def test_the_figures_have_rates_the_peak_and_the_share_of_each_priority(jo
     journal.rise("b", *range(10, 130, 10))
     found = await measured(journal, 1800)
     assert (found["annunciated"], found["per_10_minutes"], found["per_day"]) == (15, 5, 720)
-    assert (found["peak_10_minutes"], found["windows_over_10"]) == (13, pytest.approx(1 / 3))
+    assert (found["peak_10_minutes"], found["windows_over_10"]) == (13, pytest.approx(520 / 1800))
     assert (found["high_share"], found["low_share"], found["urgent_share"]) == (0.2, 0.8, 0)
 
 
@@ -177,12 +178,19 @@ def test_an_observed_span_grows_until_a_gap_or_a_step_of_the_clock() -> None:
     assert observed_until(UnixTime(T - 1), span) == (T - 1, T - 1)
 
 
-def test_a_flood_lasts_until_a_window_with_fewer_than_five() -> None:
-    assert list(flooded({1: 10, 2: 11, 3: 5, 4: 4, 5: 9, 7: 30, 9: 6})) == [2, 3, 7]
+def test_a_flood_is_counted_in_ten_minutes_that_slide_as_the_list_counts_it() -> None:
+    came = [T - 520 + 100 * n for n in range(6)] + [T + 10 * n for n in range(1, 6)]
+    rates = AlarmRates()
+    for at in came:
+        rates.note(f"a{at}", UnixTime(at))
+    assert pace_of(came, T + 1000) == (11, rates.flood(UnixTime(T + 50)), 30, 560)
+    assert pace_of(came[:10], T + 1000) == (10, 10, 0, 0)
+    assert pace_of(came, T + 60) == (11, 11, 10, 10)
+    assert pace_of([], T) == (0, 0, 0, 0)
 
 
 def test_each_figure_has_at_most_one_target() -> None:
-    found = figures(AlarmCounts(600, {1: 3}, 3, {"urgent": 3}, 0, 0, 700, {"stale": 5}))
+    found = figures(AlarmCounts(600, AlarmPace(3, 3, 0, 0), 3, {"urgent": 3}, 0, 0, 700, {"stale": 5}))
     assert {figure.code for figure in found if figure.met is False} == {
         *("per_day", "per_10_minutes", "stale", "urgent_share", "low_share"),
         "acknowledge_median_s",
@@ -194,7 +202,7 @@ def test_each_figure_has_at_most_one_target() -> None:
 def test_the_ten_most_frequent_are_judged_where_they_can_keep_their_target(
     total: int, share: float | None
 ) -> None:
-    found = figures(AlarmCounts(86_400, {1: total}, 10, {"low": total}, 0, 0, None, {}))
+    found = figures(AlarmCounts(86_400, AlarmPace(total, 1, 0, 0), 10, {"low": total}, 0, 0, None, {}))
     (top_ten,) = [figure for figure in found if figure.code == "top_ten_share"]
     assert (top_ten.value, top_ten.met) == (share, None if share is None else True)
 
