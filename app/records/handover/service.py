@@ -321,7 +321,9 @@ APART = {
     )
 }
 """The headers of files that contain people's texts: such a file is never a page of this site."""
-INSTANTS = frozenset({"start", "end", "until", "made_at", "time", "came", "written_at"})
+INSTANTS = frozenset(
+    {"start", "end", "until", "made_at", "time", "came", "written_at", "again_at", "shelved_until"}
+)
 _PICTURE = re.compile(r'(?<=<img src=")sha256:([0-9a-f]{64})(?=")')
 """The name of a picture in the page of a sheet. People's texts cannot contain it: they are escaped."""
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, NotRequired, cast
 from zoneinfo import ZoneInfo
 
@@ -46,6 +46,22 @@ SELECT {_ENTRY}, (
 ) WHERE j.after <> 'normal'
 ORDER BY j.after NOT IN ('unack_active', 'ack_active'), COALESCE(came, j.at), j.id
 """
+_EARLIER = f"""
+SELECT {_ENTRY}, (
+    SELECT r.at FROM alarm_journal r WHERE r.alarm = first.alarm AND r.id <= first.id AND r.trigger = 'rise'
+    ORDER BY r.id DESC LIMIT 1
+) AS came FROM alarm_facts known JOIN alarm_journal first ON first.id = (
+    SELECT id FROM alarm_journal WHERE alarm = known.alarm AND at < :start ORDER BY id DESC LIMIT 1
+) JOIN alarm_journal j ON j.id = (
+    SELECT id FROM alarm_journal WHERE alarm = known.alarm AND at < :until ORDER BY id DESC LIMIT 1
+) WHERE first.after <> 'normal'
+ORDER BY j.after NOT IN ('unack_active', 'ack_active'), COALESCE(came, first.at), first.id
+"""
+_HIDDEN_BY = """
+SELECT who, reason FROM alarm_journal
+WHERE alarm = ? AND id <= ? AND trigger IN ('shelve', 'suppress', 'remove') ORDER BY id DESC LIMIT 1
+"""
+_SHELVED_UNTIL = "SELECT shelved_until FROM alarm_facts WHERE alarm = ?"
 _LAST_OF_EACH = """
 SELECT max(id) FROM events WHERE about IS NULL AND kind = ? AND time < ? GROUP BY bus, unit ORDER BY 1
 """
@@ -129,6 +145,7 @@ class AlarmThen(JournalEntry):
     """The last transition of an alarm before a moment, and the time when the alarm came (None: never)."""
 
     came: UnixTime | None = None
+    shelved_until: UnixTime | None = None
 
 
 class ShiftAlarm(AlarmTransition):
@@ -140,15 +157,46 @@ class ShiftAlarm(AlarmTransition):
             Field(description="When it came; absent from sheets that an earlier version signed."),
         ]
     ]
+    shelved_until: NotRequired[
+        Annotated[Instant, Field(description="Of a shelved alarm, in the sheet of the shift under way.")]
+    ]
 
 
 def alarm_json(alarm: AlarmThen) -> ShiftAlarm:
-    return {**transition_json(alarm), "came": None if alarm.came is None else iso(alarm.came)}
+    shown = cast(
+        ShiftAlarm, {**transition_json(alarm), "came": None if alarm.came is None else iso(alarm.came)}
+    )
+    if alarm.shelved_until is not None:
+        shown["shelved_until"] = iso(alarm.shelved_until)
+    return shown
 
 
 def alarms_at(connection: StoreConnection, at: UnixTime) -> list[AlarmThen]:
-    """Return the last transition before a moment of each alarm that was not normal then, active first."""
-    return [AlarmThen(*row) for row in connection.execute(_LAST_TRANSITIONS, (at,))]
+    """Return the last transition before a moment of each alarm that was not normal then, active first. What
+    hides an alarm has its person and reason."""
+    found = (AlarmThen(*row) for row in connection.execute(_LAST_TRANSITIONS, (at,)))
+    return [_with_reason(connection, each) for each in found]
+
+
+def alarms_before(connection: StoreConnection, start: UnixTime, until: UnixTime) -> list[AlarmThen]:
+    """Return the last transition before ``until`` of each alarm that was not normal at ``start``, with the
+    time when it had come by then."""
+    rows = connection.execute(_EARLIER, {"start": start, "until": until})
+    return [_with_reason(connection, AlarmThen(*row)) for row in rows]
+
+
+def _with_reason(connection: StoreConnection, alarm: AlarmThen) -> AlarmThen:
+    if alarm.after not in HIDDEN:
+        return alarm
+    hidden = connection.execute(_HIDDEN_BY, (alarm.alarm, alarm.id)).fetchone()
+    return alarm if hidden is None else replace(alarm, who=hidden["who"], reason=hidden["reason"])
+
+
+def _with_end(connection: StoreConnection, alarm: AlarmThen) -> AlarmThen:
+    if alarm.after != "shelved":
+        return alarm
+    (until,) = connection.execute(_SHELVED_UNTIL, (alarm.alarm,)).fetchone()
+    return replace(alarm, shelved_until=until)
 
 
 def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> list[Event]:
@@ -287,6 +335,8 @@ def write_sheet(
     until = min(shift.end, now)
     seen = Shift(shift.start, until)
     alarms = [each for each in alarms_at(connection, until) if scope.holds(each.bus, each.unit)]
+    if until == now:
+        alarms = [_with_end(connection, each) for each in alarms]
     events = ShiftEvents(connection, seen, scope)
     last = last_events(connection, "block", until)
     blocked = [each for each in last if each["new"] is not None and scope.holds(each["bus"], each["unit"])]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from sys import maxsize
-from typing import Annotated, Any, NamedTuple, NotRequired
+from typing import Annotated, Any, NamedTuple, NotRequired, cast
 
 from pydantic import Field
 from typing_extensions import TypedDict
@@ -14,6 +14,7 @@ from app.core.database import StoreConnection
 from app.core.web.shape import Instant, iso
 from app.line.alarms.api import AlarmStateShown, AlarmTransition, transition_json
 from app.line.alarms.journal import JournalEntry
+from app.line.alarms.rules import AlarmState
 from app.line.history.report import UnitReport
 from app.line.history.series.figures import DrawFigures, RunFigures, StopCause
 from app.line.history.series.runs import SECOND
@@ -27,7 +28,15 @@ from app.records.handover.figures import (
 )
 from app.records.handover.notes import MAX_OF_SPAN
 from app.records.handover.rules import Scope, Shift
-from app.records.handover.sheet import ShiftSignatures, SignedShiftSheet, signed_json, write_sheet
+from app.records.handover.sheet import (
+    ShiftAlarm,
+    ShiftSignatures,
+    SignedShiftSheet,
+    alarm_json,
+    alarms_before,
+    signed_json,
+    write_sheet,
+)
 from app.records.handover.signatures import signed_sheet
 from app.settings import Settings
 from bus.instants import UnixTime
@@ -42,6 +51,11 @@ _AT_END = """(
     ), 9223372036854775807) ORDER BY l.id DESC LIMIT 1
 )"""
 """SQL that selects the state of an alarm at the end of a span."""
+_AGAIN = """(
+    SELECT n.at FROM alarm_journal n
+    WHERE n.alarm = j.alarm AND n.id > j.id AND n.at < ? AND n.trigger = 'rise' ORDER BY n.id LIMIT 1
+)"""
+"""SQL that selects when an alarm came again in a span."""
 _COMMANDS = "FROM events WHERE about IS NULL AND kind = 'command' AND time >= ? AND time < ?"
 
 
@@ -50,7 +64,9 @@ class ReportedStop(TypedDict):
 
     start: Instant
     end: Instant
-    seconds: Annotated[float, Field(description="How long it lasted.")]
+    seconds: Annotated[float, Field(description="How long it lasted within the span.")]
+    before: Annotated[bool, Field(description="Whether the unit stood already as the readings begin.")]
+    goes_on: Annotated[bool, Field(description="Whether it still stood at its last reading.")]
     cause: Annotated[StopCause, Field(description="What its first reading shows.")]
 
 
@@ -105,6 +121,7 @@ class ReportedAlarm(AlarmTransition):
     """An alarm that came."""
 
     at_end: Annotated[AlarmStateShown, Field(description="Its state at the end of the span.")]
+    again_at: NotRequired[Annotated[Instant, Field(description="When it came again within the span.")]]
 
 
 class SpanReport(SignedShiftSheet):
@@ -113,6 +130,10 @@ class SpanReport(SignedShiftSheet):
     signed: Annotated[ShiftSignatures | None, Field(description="Where the span is a shift that was signed.")]
     units: Annotated[list[ReportedUnit], Field(description="Empty where there is no history.")]
     alarms: Annotated[list[ReportedAlarm], Field(description="That came: the first 200, oldest first.")]
+    before: Annotated[
+        list[ShiftAlarm],
+        Field(description="Not normal as the span began, each with its last transition in the span."),
+    ]
 
 
 class CountsByUnit(NamedTuple):
@@ -137,9 +158,12 @@ def span_report(
     lasts_s = round(until - span.start, DIGITS)
     where, values = scope.conditions()
     came = connection.execute(
-        f"SELECT {_AT_END}, {_COLUMNS} {RISEN}{where} ORDER BY at, id LIMIT ?",
-        (until, span.start, until, *values, _MAX_ALARMS),
+        f"SELECT {_AT_END}, {_AGAIN}, {_COLUMNS} {RISEN}{where} ORDER BY at, id LIMIT ?",
+        (until, until, span.start, until, *values, _MAX_ALARMS),
     )
+    earlier = [
+        each for each in alarms_before(connection, span.start, until) if scope.holds(each.bus, each.unit)
+    ]
     counts = CountsByUnit(*(_counts(connection, what, span.start, until) for what in (RISEN, _COMMANDS)))
     sheet = write_sheet(connection, settings, span, now, scope)
     return {
@@ -148,8 +172,16 @@ def span_report(
         "notes": sheet["notes"][-MAX_OF_SPAN:],
         "signed": signed_json(signed if signed and signed.shift == span and not scope.bus else None),
         "units": [_unit(bus, each, counts, lasts_s, most_stops) for bus, each in found],
-        "alarms": [{**transition_json(JournalEntry(*entry)), "at_end": at_end} for at_end, *entry in came],
+        "alarms": [_alarm(*row) for row in came],
+        "before": [alarm_json(each) for each in earlier],
     }
+
+
+def _alarm(at_end: AlarmState, again_at: UnixTime | None, *entry: Any) -> ReportedAlarm:
+    shown = cast(ReportedAlarm, {**transition_json(JournalEntry(*entry)), "at_end": at_end})
+    if again_at is not None:
+        shown["again_at"] = iso(again_at)
+    return shown
 
 
 def _counts(
@@ -204,6 +236,8 @@ def _add_runs(
             "end": iso(UnixTime(stop.until / SECOND)),
             "seconds": (stop.until - stop.at) / SECOND,
             "cause": stop.cause,
+            "before": figures.began_stopped and stop is figures.stops[0],
+            "goes_on": figures.ended_stopped and stop is figures.stops[-1],
         }
         for stop in figures.stops[-most_stops:]
     ]

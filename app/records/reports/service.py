@@ -181,6 +181,7 @@ _STOP_COLUMNS = (
     *_PLACE,
     *(Column("began", term("Began"), is_time=True), Column("ended", term("Ended"), is_time=True)),
     *(Column("seconds", term("Duration (s)")), Column("reason", term("Cause"))),
+    *(Column("before", term("Stood before")), Column("goes_on", term("Goes on"))),
 )
 
 
@@ -212,7 +213,15 @@ def _stop_rows(report: Mapping[str, Any], form: CsvForm) -> Iterator[tuple[Cell,
     for unit in report["units"]:
         for stop in unit.get("stops", ()):
             cause = stop["cause"] if form.language is None else Message(f"report_stop_{stop['cause']}")
-            yield (*_place(unit), _at(stop["start"]), _at(stop["end"]), stop["seconds"], cause)
+            yield (
+                *_place(unit),
+                _at(stop["start"]),
+                _at(stop["end"]),
+                stop["seconds"],
+                cause,
+                stop["before"],
+                stop["goes_on"],
+            )
 
 
 def _place(unit: Mapping[str, Any]) -> tuple[Cell, ...]:

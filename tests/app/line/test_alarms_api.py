@@ -24,8 +24,10 @@ from app.line.live.browser import Browser
 from app.line.live.bus_live import LiveState
 from app.line.live.hub import Hub
 from app.people.audit.log import EventLog
+from app.records.handover.rules import EVERYTHING, Shift
+from app.records.reports.service import Reports
 from bus.contract import BusLink, Reading
-from bus.instants import unix_now
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, HEALTHY, estop, played_line
@@ -95,6 +97,33 @@ async def test_sheet_report_and_list_have_the_same_times_and_states(house: House
     assert "cleared, not acknowledged" in came
     assert "active, not acknowledged" not in came
     assert "No earlier alarm was active" in before, "each is listed once"
+
+
+async def test_a_report_keeps_what_was_active_in_its_span_and_says_what_came_again(house: House) -> None:
+    operator = await house.program(Role.OPERATOR)
+    estop(house.services, active=True)
+    await house.services[LineAlarms].write()
+    start = unix_now()
+    await act(operator, f"{BUS}.1.estop_active.1", "acknowledge")
+    estop(house.services, active=False)
+    for active in (True, False, True):
+        estop(house.services, active=active, unit=2)
+    await act(operator, f"{BUS}.2.estop_active.2", "shelve", reason="fitter at work", minutes=5)
+    estop(house.services, active=False, unit=2)
+    await house.services[LineAlarms].write()
+    report = await house.services[Reports].report(Shift(start, UnixTime(unix_now() + 60)), EVERYTHING)
+    assert [(each["alarm"], each["after"]) for each in report["before"]] == [
+        (f"{BUS}.1.estop_active.1", "normal")
+    ]
+    assert [(each["alarm"], "again_at" in each) for each in report["alarms"]] == [
+        (f"{BUS}.2.estop_active.1", True),
+        (f"{BUS}.2.estop_active.2", False),
+    ]
+    (shelved,) = report["shelved"]
+    assert (shelved["who"], shelved["reason"]) == ("key-operator", "fitter at work")
+    assert shelved["shelved_until"] > shelved["came"]
+    page = (await operator.get("/shifts/present", follow_redirects=True)).text
+    assert re.search(r"shelved until \d\d:\d\d", page)
 
 
 async def test_came_cleared_and_acknowledged_are_three_times(house: House) -> None:

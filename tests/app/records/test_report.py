@@ -501,11 +501,11 @@ def test_any_span_has_the_same_report_and_its_units_as_csv(config: Path) -> None
     assert ",599.75,300.0,300.0,m,1,299.75,0.0,172200.25,60.0,60.0,m/min," in unwind
     assert ",0.0,0.0,,,0,0.0," in rewind
     head, stop = called(config, "--stops", *span).stdout.splitlines()
-    assert head == "bus,unit,name,began,ended,seconds,reason"
+    assert head == "bus,unit,name,began,ended,seconds,reason,before,goes_on"
     assert stop.startswith(
         "dry-end,1,Unwind,2026-11-21T12:05:00.000+00:00,2026-11-21T12:09:59.750+00:00,299.75"
     )
-    assert stop.endswith(",speed_zero")
+    assert stop.endswith(",speed_zero,False,True")
 
 
 @pytest.mark.parametrize(
