@@ -9,8 +9,6 @@ import { isLive, timeOfDay } from "./live.js";
 import { word } from "./words.js";
 
 const LAPSE_MS = 30_000;
-/** What changes together is drawn once. */
-const REDRAW_MS = 300;
 const dialog = document.getElementById("review");
 const PLACE = "[data-review-place]";
 /** Where a review is open, or was last: one at a time. */
@@ -25,8 +23,6 @@ let endings = [];
 let early = null;
 /** A press is not carried out later than so. */
 const EARLY_MS = 2000;
-/** The lines that a person has left out of a review that is being drawn again. @type {string[]} */
-let unticked = [];
 /** How long ago what is being requested was pressed. */
 let agoMs = 0;
 
@@ -44,7 +40,6 @@ function opened(place, source) {
   for (const words of document.querySelectorAll("[role=status] > :is([data-review-end], [data-added])"))
     words.remove();
   show();
-  untick();
   const form = content.querySelector("[data-review]");
   if (form) watch(form);
 }
@@ -86,45 +81,11 @@ function watch(form) {
   endings.push(() => clearTimeout(timer));
   for (const part of [form, ...form.querySelectorAll("[data-watch]")]) watchUnit(form, part);
   const drawn = /** @type {HTMLElement | null} */ (form.querySelector("[data-review-units]"));
-  if (drawn) redrawWith(drawn);
-}
-
-/** A change to zero is not over when a unit of its line can no longer take it, or takes it otherwise: the review is drawn
- * again, and says so before it is confirmed.
- * @param {HTMLElement} part */
-function redrawWith(part) {
-  let timer = 0;
-  const redraw = () => {
-    unticked = boxes(content).flatMap((box) => (box.checked ? [] : box.value));
-    part.dispatchEvent(new CustomEvent("lineside:redraw"));
-  };
-  for (const unit of part.dataset.reviewUnits?.split(" ") ?? []) {
-    const drawn = takes(fieldsOf(unit));
-    endings.push(
-      listen(unit, (fields) => {
-        if (takes(fields) !== drawn) timer ||= setTimeout(redraw, REDRAW_MS);
-      }),
-    );
+  if (drawn) {
+    import("./review-zero.js").then(({ redrawWith }) => {
+      if (drawn.isConnected && form.dataset.pending === undefined) endings.push(redrawWith(drawn, content));
+    });
   }
-  endings.push(() => clearTimeout(timer));
-}
-
-/** Whether and how a unit takes a change to zero. @param {Fields | undefined} fields */
-const takes = (fields) => fields && [whyNot(fields), signalsOf(fields)].join();
-
-/** @param {HTMLElement} place */
-const boxes = (place) => [
-  .../** @type {NodeListOf<HTMLInputElement>} */ (place.querySelectorAll("[data-verbs] input")),
-];
-
-/** What was left out stays so in the review that is drawn again. */
-function untick() {
-  const lines = content.querySelector("[data-verbs]");
-  if (lines && unticked.length) {
-    for (const box of boxes(content)) box.checked = !unticked.includes(box.value);
-    nameTicked(lines);
-  }
-  unticked = [];
 }
 
 /** One unit: the form names it; several: a row each, with the name.
@@ -158,7 +119,7 @@ export function whyOver({ dataset: { of: unit, watch: key, was, name, on, off, s
 }
 
 /** Run and E-stop, as a review was drawn with them. @param {Fields} fields */
-const signalsOf = ({ inputs }) => /** @type {string | undefined} */ (inputs)?.slice(0, 2) ?? "";
+export const signalsOf = ({ inputs }) => /** @type {string | undefined} */ (inputs)?.slice(0, 2) ?? "";
 
 /** Why a setpoint has another effect than the review says, which was drawn with these signals (Run, E-stop).
  * @param {string} signals @param {Fields} fields */
@@ -234,7 +195,7 @@ function dismiss(detail = outcome()) {
 
 /** The button names the line that it sets to zero, or their number.
  * @param {HTMLElement} lines */
-function nameTicked(lines) {
+export function nameTicked(lines) {
   const act = /** @type {HTMLButtonElement | null} */ (
     content.querySelector("[data-review]:not([data-pending]) [data-review-act]")
   );
