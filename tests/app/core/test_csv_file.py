@@ -42,7 +42,7 @@ HEADINGS = {
     "/api/v1/report/units.csv": "bus,unit,name,start,end,known_s,running_s,length,length_unit,stops,"
     "stopped_s,at_speed_s,unread_s,speed_average,speed_greatest,speed_unit,draw_average,draw_least,draw_greatest,"
     "alarms,commands,by_minute",
-    "/api/v1/report/stops.csv": "bus,unit,name,began,ended,seconds,reason",
+    "/api/v1/report/stops.csv": "bus,unit,name,began,ended,seconds,reason,before,goes_on",
     "/api/v1/history/export": f"time [{ZONE}],dry-end/1 actual [m/min],dry-end/2 actual [m/min],note",
 }
 LOCAL = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d")
@@ -120,7 +120,7 @@ async def test_times_and_numbers_of_a_report_in_german(german: httpx.AsyncClient
     assert head[:5] == ["Bus", "Regler", "Name", "Beginn", "Abstand zu UTC"]
     began = datetime.fromtimestamp(BEGIN + 60, ZoneInfo(ZONE))
     assert first[:5] == ["dry-end", "1", "Unwind", f"{began:%Y-%m-%d %H:%M:%S}", f"{began:%z}"[:3] + ":00"]
-    assert first[-2:] == ["29,0", "Sollgeschwindigkeit 0"]
+    assert first[-4:] == ["29,0", "Sollgeschwindigkeit 0", "nein", "nein"]
     assert second[2] == "'=Nip"
 
 
