@@ -283,6 +283,14 @@ def timed_as_alarm(
     return cause if at is None or cause is None else replace(cause, onset=Onset(at))
 
 
+def are_alike(one: Cause | None, other: Cause | None) -> bool:
+    """Return whether one sentence says both: what is so, of which motion, and since which minute."""
+    if one is None or other is None or (one.code, one.params) != (other.code, other.params):
+        return False
+    [since, other_since] = [each.onset and float(each.onset.at) // 60 for each in (one, other)]
+    return since == other_since
+
+
 _BESIDE_RUNNING = frozenset(("not_in_remote", "blocked", "drift"))
 
 

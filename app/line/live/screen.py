@@ -37,6 +37,7 @@ from app.line.live.diagnosis import (
     Cause,
     Level,
     UnitView,
+    are_alike,
     broken_rung,
     connection_cause,
     is_beside_running,
@@ -130,10 +131,10 @@ def line_fields(
 ) -> Fields:
     """Return the fields of the line. ``found``: everything abnormal, the worst first; ``alarmed``: the units
     with an active alarm; ``alarm_delay_s``: when a condition becomes one; ``shelved_until``: until when its
-    alarm is shelved. The verdict is the worst cause (``cause``) after the name of its unit (``name``), which
-    a narrow page may drop; ``untimed`` is the cause without its time, which the pages of units and alarms
-    state beside the condition. ``beside``: what is ``named`` as well, for a line that breaks between two of
-    them only."""
+    alarm is shelved. The verdict is the worst cause (``cause``), which begins with the number of other units
+    of its line that have it, after the name of its unit (``name``), which a narrow page may drop; ``untimed``
+    is the cause without its time, which the pages of units and alarms state beside the condition. ``beside``:
+    what is ``named`` as well, for a line that breaks between two of them only."""
     counts = state_counts(views.values())
     abnormal = len(_abnormal_units(buses, found) | alarmed)
     worst, said = verdict_of(found), set[str]()
@@ -141,7 +142,10 @@ def line_fields(
         texts = cause_texts(worst.cause, translator, now)
         alike = [each for each in found if each is worst or _is_said_by(each, texts.line, translator, now)]
         said = {each.key for each in alike}
-        name, cause, untimed = _listed(alike, translator), texts.line, texts.text
+        others = sum(_is_like(worst, each) for each in found) - 1
+        name, cause, untimed = _listed(alike, translator), f"· {texts.line}", f"· {texts.text}"
+        if more := and_more(others, translator):
+            cause, untimed = f"{more} {cause}", f"{more} {untimed}"
     else:
         name, cause = "", translator.t(all_well(len(views), counts, _running_at(buses)))
         untimed = cause
@@ -152,10 +156,10 @@ def line_fields(
     ]
     return {
         "level": worst.cause.level if worst else "",
-        "verdict": f"{name} · {cause}" if name else cause,
+        "verdict": f"{name} {cause}".lstrip(),
         "name": name,
-        "cause": f"· {cause}" if name else cause,
-        "untimed": f"· {untimed}" if name else untimed,
+        "cause": cause,
+        "untimed": untimed,
         "at": worst.href if worst else "",
         "counts": translator.t(Message.of("line_abnormal", n=abnormal)) if abnormal else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
@@ -169,6 +173,17 @@ def line_fields(
 def _whole(text: str) -> str:
     """Return a text in which no browser breaks a line."""
     return _BREAK_AFTER.sub("\\1\u2060", text.replace(" ", NO_BREAK))
+
+
+def _is_like(worst: NamedCause, each: NamedCause) -> bool:
+    """Return whether a cause is that of the verdict, of a unit of the same bus."""
+    of_bus = [named.key.partition("/")[0] for named in (worst, each)]
+    return each is worst or (of_bus[0] == of_bus[1] and are_alike(worst.cause, each.cause))
+
+
+def and_more(others: int, translator: Translator) -> str:
+    """Return how many ``others`` the verdict is about, after the name of its unit; empty without any."""
+    return translator.t(Message.of("line_and_more", n=others)) if others > 0 else ""
 
 
 def _is_said_by(named: NamedCause, line: str, translator: Translator, now: UnixTime) -> bool:

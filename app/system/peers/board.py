@@ -18,7 +18,7 @@ from app.line.alarms.line_alarms import alarm_counts
 from app.line.conditions.condition import PRIORITIES
 from app.line.live.diagnosis import Level
 from app.line.live.fields import Fields, Groups, Translator, put_fields, scan_text
-from app.line.live.screen import verdict_line
+from app.line.live.screen import and_more, verdict_line
 from app.system.peers.summary import MAX_POINTS, LineSummary
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now
 from bus.messages import Message
@@ -230,8 +230,8 @@ def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTi
     if summary.cause is None:
         return "", translator.t(summary.verdict)
     place = "" if summary.place == summary.bus else summary.place
-    if summary.alike > 1:
-        place = translator.tn("{n} unit", "{n} units", summary.alike)
+    if place and (more := and_more(summary.alike - 1, translator)):
+        place = f"{translator.isolated(place)} {more}"
     return place, verdict_line(summary.cause.cause(summary.level), translator, now)
 
 

@@ -24,6 +24,7 @@ from app.line.live.diagnosis import (
     Cause,
     Level,
     UnitView,
+    are_alike,
     no_response_cause,
     shown_cause,
     state_counts,
@@ -171,7 +172,7 @@ def summary_of(
         _by_priority(alarm for alarm, _ in known if alarm.is_unacknowledged),
         unknown,
         place=place,
-        alike=sum(_are_alike(cause, view.cause) for view in views) or 1,
+        alike=sum(are_alike(cause, view.cause) for view in views) or 1,
         cause=CauseSummary.from_cause(cause, alarm_delay_s(key, TILES[cause.code].code)) if cause else None,
         alarm=first[1] if first else None,
         alarm_priority=first[0].definition.priority if first else "",
@@ -207,14 +208,6 @@ def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, str
     if worst is None or worst.level in ("", "low"):
         return "", "", None
     return worst.unit.settings.name, unit_key(name, worst.unit.settings.id), worst.cause
-
-
-def _are_alike(one: Cause | None, other: Cause | None) -> bool:
-    """Return whether one sentence says both: what is so, of which motion, and since which minute."""
-    if one is None or other is None or (one.code, one.params) != (other.code, other.params):
-        return False
-    [since, other_since] = [each.onset and float(each.onset.at) // 60 for each in (one, other)]
-    return since == other_since
 
 
 def _by_priority(alarms: Iterable[Alarm]) -> Counts:

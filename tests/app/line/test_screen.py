@@ -18,7 +18,7 @@ from bus.messages import Message, term
 from bus.settings import Dialect
 from bus.wire.commands import WriteParameterRequest, encode_request
 from bus.wire.describe import describe_bytes
-from tests.app.screens import AT_SPEED, REMOTE, line, reading, screen, translator
+from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, line, reading, screen, translator
 
 
 def fields(tag: str = "en", **changes: int) -> dict[str, str]:
@@ -537,3 +537,16 @@ def test_a_ramp_updates_its_unit_and_not_the_line_each_second() -> None:
     changed = shown.render("dry", [1], 103.0, include_bus=False)
     assert changed["dry/1"]["status"] == "Ramping to 120.0, about 4\u00a0s left"
     assert "line_summary" not in changed
+
+
+@pytest.mark.parametrize(("tag", "more"), [("en", "and 2 more ·"), ("de", "und 2 weitere ·")])
+def test_the_verdict_counts_the_units_that_have_its_cause_too(tag: str, more: str) -> None:
+    live = line(4)
+    live.buses["dry"].apply([reading(unit, at=100.0, inputs=HEALTHY) for unit in (2, 3, 4)])
+    page = screen(live, tag)
+    page.refresh(100.5)
+    shown = page.flat()
+    assert shown["line_summary.name"] == "Unit 2"
+    assert str(shown["line_summary.cause"]).startswith(more)
+    assert str(shown["line_summary.untimed"]).startswith(more)
+    assert str(shown["line_summary.verdict"]).startswith(f"Unit 2 {more}")
