@@ -229,7 +229,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
     "recipes": ("recipe",),
     "control": ("control",),
     "done": ("command", "restore", "parameter_set", "swap", "block", "alarm"),
-    "server": ("server", "configuration", "clock", "worker"),
+    "server": ("server", "configuration", "clock", "worker", "bus"),
 }
 """The kinds of events in each section."""
 HIDDEN: tuple[AlarmState, ...] = ("shelved", "suppressed", "out_of_service")
@@ -291,7 +291,7 @@ class SignedShiftSheet(TypedDict):
         list[EventShown], Field(description="The last event of each bus about control before the shift.")
     ]
     done: Annotated[ShiftEventsShown, Field(description="Commands, restores, sets, blocks, acts on alarms.")]
-    server: Annotated[ShiftEventsShown, Field(description="Server, configuration, clocks and bus workers.")]
+    server: Annotated[ShiftEventsShown, Field(description="Server, configuration, clocks, workers, ports.")]
     notes: list[ShiftNote]
     omissions: Annotated[list[MessageShown], Field(description="What the store does not hold of the shift.")]
 

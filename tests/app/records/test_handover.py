@@ -106,6 +106,8 @@ async def test_the_sheet_is_made_from_the_store(house: House) -> None:
     await house.services[EventLog].record(
         kind="recipe", what=Message.of("event_recipe_loaded", name="Kraft", version=3), who="ann", bus=BUS
     )
+    for happened in ("event_port_closed", "event_port_opened"):
+        await house.services[EventLog].record(kind="bus", what=Message(happened), bus=BUS)
     for outcome in ("verified", "verified", "unverified"):
         number = await intend(
             house.services[EventLog],
@@ -126,6 +128,7 @@ async def test_the_sheet_is_made_from_the_store(house: House) -> None:
     assert [(each["unit"], each["new"]) for each in found["limits"]["events"]] == [(2, "highest 500")]
     assert found["recipes"]["events"][0]["what"] == "recipe Kraft version 3 loaded and verified"
     assert [each["what"] for each in found["control"]["events"]] == ["control taken"]
+    assert [each["what"] for each in found["server"]["events"]][-2:] == ["port closed", "port opened"]
     assert found["done"]["outcomes"] == {"": 3, "unverified": 1, "verified": 2}
     assert [each["old"] for each in found["done"]["events"] if each["kind"] == "command"] == ["1"] * 3
     assert {each["code"] for each in found["omissions"]} >= {"shift_omits_drift", "shift_omits_control"}
