@@ -17,6 +17,7 @@ export function start() {
       // An action of this page, which the script that knows it carries out.
       event.preventDefault();
       dialog?.close();
+      if (link.matches("[data-press-zero]")) /** @type {HTMLElement | null} */ (document.querySelector(".zero"))?.click();
       return;
     }
     if (!link || event.ctrlKey || event.metaKey) return;

@@ -8,7 +8,7 @@
   const STORED = "lineside-last-tap";
   /** All but the keys of a number pad, on which a digit is typed twice, and what leads on through the tour. */
   const ACTS =
-    "button:not([data-pad], [data-keypad-next], [data-tour-next]), input[type=submit], a:is([hx-get], [hx-post])";
+    "button:not([data-pad], [data-keypad-next], [data-tour-next], [data-tour-back]), input[type=submit], a:is([hx-get], [hx-post])";
   /** Which send something, or close a review that has just come under the finger: also not where another has just been
    * pressed at the same place. */
   const SENDS =

@@ -20,6 +20,7 @@ function show() {
   next.dataset.first ??= next.textContent ?? "";
   next.textContent = (isLast ? next.dataset.last : next.dataset.first) ?? "";
   /** @type {HTMLElement} */ (tour.querySelector("[data-tour-skip]")).hidden = isLast;
+  /** @type {HTMLElement} */ (tour.querySelector("[data-tour-back]")).hidden = step === 0;
   document.querySelector(".tour-at")?.classList.remove("tour-at");
   const at = place();
   at?.classList.add("tour-at");
@@ -39,6 +40,10 @@ document.addEventListener("click", (event) => {
     step += 1;
     if (step < steps.length) show();
     else end();
+  } else if (pressed.closest("[data-tour-back]")) {
+    step -= 1;
+    show();
+    if (step === 0) /** @type {HTMLElement} */ (tour.querySelector("[data-tour-next]")).focus();
   } else if (pressed.closest("[data-tour]")) {
     localStorage.removeItem(SEEN);
     if (location.pathname === "/") {

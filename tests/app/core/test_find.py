@@ -111,6 +111,9 @@ async def test_help_actions_and_the_state_of_an_input_are_found(tmp_path: Path) 
             ("Übergabe", "/shifts"),
             ("Störung", "/alarms"),
             ("Null", "/setpoints"),
+            ("Null", "#press-zero"),
+            ("Raute", "/help/legend"),
+            ("rückgängig", "/help"),
         ):
             assert f'href="{page}"' in await found(german, typed), typed
         assert "data-tour" not in await found(client, "tour"), "only a demo has one"
