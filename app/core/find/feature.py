@@ -34,7 +34,7 @@ router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 Typed = Annotated[OneLine, Query(max_length=80)]
 Near = Annotated[str, Query(max_length=200)]
 ACTIONS = (
-    # An address that begins with # is a press on the page itself: data-theme-toggle, data-clean, data-press-zero.
+    # An address that begins with # is a press on the page itself: data-theme-toggle, data-clean.
     FixedPlace(Message("find_set_units"), "/setpoints", "SetLine", Message("find_words_setpoints")),
     FixedPlace(Message("find_zero"), "#press-zero", "SetLine", Message("find_words_zero")),
     FixedPlace(Message("find_save_recipe"), "/recipes", "save_recipe"),
