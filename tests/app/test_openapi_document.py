@@ -274,6 +274,7 @@ TIMES = {
         "Alarm.came",
         "Alarm.cleared",
         "ShiftAlarm.came",
+        "ReportedAlarm.again_at",
         "RecipeRuns.loaded",
         "RecipeRuns.before",
     ),

@@ -411,7 +411,7 @@ async def test_an_alarm_to_acknowledge_again_says_who_had_acknowledged_it(house:
     await operator.post(f"/alarms/{ESTOP}.1/shelve", data={"minutes": "30", "reason": "chatters"})
     await operator.post(f"/alarms/{ESTOP}.1/unshelve")
     assert "by the-operator. Acknowledge it again" in await page(operator, f"/alarms/{ESTOP}.1")
-    assert "active, to acknowledge again" in await page(operator, "/alarms/list")
+    assert "active, not acknowledged" in await page(operator, "/alarms/list")
 
 
 async def test_a_link_to_a_former_occurrence_leads_to_the_present_one(house: House) -> None:
