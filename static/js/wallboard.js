@@ -1,6 +1,7 @@
 // The wallboard: its lines in turn, and a verdict as large as its words allow.
 //   data-wall      the page; data-wall="all": every line, of which one is shown at a time
 //   data-line      one line; data-turn: the link to it
+//   data-held      the word that only urgent lines are shown in turn
 //   data-fitted    words that take the largest of a few sizes in which all of them have room
 import { fieldsOf, listen } from "./bind.js";
 
@@ -38,9 +39,10 @@ function show(line) {
 }
 
 function turn() {
-  if (performance.now() - turnedAt < TURN_MS) return;
   // Whoever looks up for a moment must not read that all is well.
   const urgent = lines.filter((line) => fieldsOf(line.dataset.line ?? "")?.level === "urgent");
+  document.querySelector("[data-held]")?.toggleAttribute("hidden", !urgent.length || urgent.length === lines.length);
+  if (performance.now() - turnedAt < TURN_MS) return;
   const turning = urgent.length ? urgent : lines;
   const shown = turning.findIndex((line) => !line.hidden);
   show(/** @type {HTMLElement} */ (turning[(shown + 1) % turning.length]));

@@ -21,7 +21,7 @@ from app.line.live.fields import Fields, Groups, Translator, put_fields, scan_te
 from app.line.live.screen import and_more, verdict_line
 from app.system.peers.summary import MAX_POINTS, LineSummary
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now
-from bus.messages import Message
+from bus.messages import Message, term
 
 STALE_AFTER_S = 6.0
 """The age above which a line is stale: three reports of a peer."""
@@ -157,6 +157,8 @@ STATES = {
     "off_speed": "line_n_off_speed",
 }
 """The text for the number of units in a state."""
+MAX_NAMES = 6
+"""The most abnormal units that are named; beyond it a number."""
 _NO_REPORT: tuple[tuple[float, str, int], ...] = (
     (LONG_S, "line_overdue_seconds", 1),
     (LONG_MINUTES_S, "line_overdue_minutes", MINUTE_S),
@@ -164,7 +166,7 @@ _NO_REPORT: tuple[tuple[float, str, int], ...] = (
 )
 """The greatest age, the text that nothing was reported for so long, and its unit in seconds."""
 _NEVER: Fields = {
-    **dict.fromkeys(("place", "last", "counts", "alarm_mark", "alarms", "spark"), ""),
+    **dict.fromkeys(("place", "last", "counts", "alarm_mark", "alarms", "abnormal", "spark"), ""),
     **dict.fromkeys(("recipe", "event", "event_at"), ""),
     "speed": UNKNOWN,
     "scan": UNKNOWN,
@@ -198,11 +200,22 @@ def _figures(summary: LineSummary, translator: Translator, now: UnixTime) -> Fie
         "counts": _counts(summary, translator),
         "alarm_mark": _mark(summary),
         "alarms": _alarms(summary, translator),
+        "abnormal": _abnormal(summary, translator),
         "scan": scan_text(translator, 1 / summary.scan_hz if summary.scan_hz else 0.0),
         "speed": _speed(summary, translator),
         "spark": outline(summary.speeds),
         "recipe": translator.t(summary.recipe) if summary.recipe is not None else "",
     } | _event(summary, translator, now)
+
+
+def _abnormal(summary: LineSummary, translator: Translator) -> str:
+    """Return the names of several abnormal units; of many, the first and the number of the others."""
+    names = summary.abnormal
+    if len(names) < 2:
+        return ""
+    shown = ", ".join(map(translator.isolated, names[:MAX_NAMES]))
+    more = and_more(len(names) - MAX_NAMES, translator)
+    return f"{translator.t(term('Abnormal'))}: {shown} {more}".rstrip()
 
 
 def _event(summary: LineSummary, translator: Translator, now: UnixTime) -> Fields:

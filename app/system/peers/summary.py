@@ -89,9 +89,10 @@ class LineSummary(msgspec.Struct, frozen=True):
     the cause; ``alike``: how many units it is the cause of, since the same minute. ``states``: units by
     state, and the number that is ``online``; ``active`` and ``waiting`` (for an acknowledgement): alarms by
     priority; ``unknown``: the number that were active and may have ended since; ``alarm``: the text of the
-    first alarm. ``speeds``: of the first unit, the newest last, in ``measure`` with its ``decimals`` (None
-    from a server that does not tell them), None if not read; ``scan_hz``: scans a second; ``recipe``: the one
-    last loaded."""
+    first alarm. ``abnormal``: the names of the units that are abnormal, the worst first, of a line of this
+    server. ``speeds``: of the first unit, the newest last, in ``measure`` with its ``decimals`` (None from a
+    server that does not tell them), None if not read; ``scan_hz``: scans a second; ``recipe``: the one last
+    loaded."""
 
     bus: str
     site: str
@@ -104,6 +105,7 @@ class LineSummary(msgspec.Struct, frozen=True):
     unknown: int = 0
     place: str = ""
     alike: int = 1
+    abnormal: list[str] = []
     cause: CauseSummary | None = None
     alarm: Message | None = None
     alarm_priority: Level = ""
@@ -172,6 +174,11 @@ def summary_of(
         _by_priority(alarm for alarm, _ in known if alarm.is_unacknowledged),
         unknown,
         place=place,
+        abnormal=[
+            view.unit.settings.name
+            for view in sorted(views, key=lambda view: LEVELS.index(view.level))
+            if view.level not in ("", "low")
+        ],
         alike=sum(are_alike(cause, view.cause) for view in views) or 1,
         cause=CauseSummary.from_cause(cause, alarm_delay_s(key, TILES[cause.code].code)) if cause else None,
         alarm=first[1] if first else None,
@@ -220,10 +227,9 @@ READ = (1, 10)
 """How many of the newest events of a line are read: one, as the last is mostly that of a command, and ten if
 it is of a kind that is not shown."""
 SHOWN: frozenset[EventKind] = frozenset(
-    ("block", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit")
+    ("block", "bus", "command", "estop", "mode", "recipe", "restore", "run", "swap", "unit", "worker")
 )
-"""The kinds of events that say what a line did. Control, sign-ins, notes and a worker's start do not, and the
-verdict names a closed port."""
+"""The kinds of events that say what a line, its port or its worker did, unlike a sign-in or a note."""
 DONE = ("verified", "acknowledged")
 OF_SEVERAL = ("event_set_line", "event_zero_line", "event_execute_all")
 FRESH_S = 0.9
@@ -274,7 +280,7 @@ class LastEvents:
     async def _last_shown(self, bus: str) -> Event | None:
         for count in READ:
             found, _ = await self.events.page(Filter(bus=bus, folded=True), count)
-            last = next((event for event in found if event["kind"] in SHOWN), None)
+            last = next((event for event in found if _is_shown(event)), None)
             if last is not None:
                 return last
         return None
@@ -295,6 +301,12 @@ class LastEvents:
         if unit is None:
             return text
         return Message.of("line_event_at", name=unit.settings.name, event=text)
+
+
+def _is_shown(event: Event) -> bool:
+    what = _field(event, "what")
+    is_late = isinstance(what, Message) and what.code == "event_readings_late"
+    return event["kind"] in SHOWN and not is_late
 
 
 def _field(event: Event, name: str) -> ParamValue:

@@ -172,3 +172,17 @@ def test_only_what_has_changed_is_sent() -> None:
     assert tiles.changes(translator()) == {"line_of/line-2": {"quality": "gone"}}
     tiles.forget("en")
     assert len(tiles.changes(translator())) == 2
+
+
+@for_each(
+    "tag, names, shown",
+    [
+        ("en", ["Nip"], ""),
+        ("en", ["Nip", "Coater"], "Abnormal: Nip, Coater"),
+        ("de", list("abcdefgh"), "Auffällig: a, b, c, d, e, f und 2 weitere"),
+    ],
+)
+def test_several_abnormal_units_are_named(tag: str, names: list[str], shown: str) -> None:
+    """On a wallboard whose sections are as small as dots."""
+    line = msgspec.structs.replace(summary("dry", "high"), abnormal=names)
+    assert tile_fields(LineOnBoard("dry", line), translator(tag), UnixTime(100.0))["abnormal"] == shown

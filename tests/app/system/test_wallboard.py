@@ -66,6 +66,10 @@ async def test_the_last_event_names_unit_change_and_result(tmp_path: Path) -> No
         await log.record(kind="worker", what=late, bus="dry-end")
         await last.read()
         assert "to zero" in str(last.newest_of("dry-end").text)  # type: ignore[union-attr]
+        for kind, what in (("bus", "port closed"), ("worker", "worker lost")):
+            await log.record(kind=kind, what=what, bus="dry-end")
+            await last.read()
+            assert str(last.newest_of("dry-end").text) == what, "as on the page of events"  # type: ignore[union-attr]
 
 
 async def test_the_last_event_is_beside_its_line(tmp_path: Path) -> None:
