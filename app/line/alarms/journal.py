@@ -86,7 +86,12 @@ class JournalEntry(RecordedAlarm):
 
     @property
     def after_text(self) -> Message:
-        return Message("alarm_silenced") if self.trigger == "silence" else state_text(self.after)
+        """What an alarm is after the transition; of one that stays hidden also what its condition does."""
+        if self.trigger == "silence":
+            return Message("alarm_silenced")
+        if self.before == self.after and self.trigger in ("rise", "clear"):
+            return Message.of(f"alarm_stays_{self.trigger}", state=state_text(self.after))
+        return state_text(self.after)
 
 
 def entry_of(

@@ -122,6 +122,7 @@ async def test_a_report_keeps_what_was_active_in_its_span_and_says_what_came_aga
     (shelved,) = report["shelved"]
     assert (shelved["who"], shelved["reason"]) == ("key-operator", "fitter at work")
     assert shelved["shelved_until"] > shelved["came"]
+    assert "shelved: condition cleared" in (await operator.get("/alarms/journal")).text
     page = (await operator.get("/shifts/present", follow_redirects=True)).text
     assert re.search(r"shelved until \d\d:\d\d", page)
 
