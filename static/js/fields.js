@@ -38,8 +38,9 @@ function refuse(event) {
   const refusal = refusals.get(field) ?? document.createElement("p");
   const { missing, unticked } = document.body.dataset;
   refusal.className = "field__error";
-  refusal.textContent =
-    (field.type === "checkbox" ? unticked : field.validity.valueMissing ? missing : field.dataset.malformed) ?? "";
+  const { customError, valueMissing } = field.validity;
+  const needed = field.type === "checkbox" ? unticked : valueMissing ? missing : field.dataset.malformed;
+  refusal.textContent = (customError ? field.validationMessage : needed) ?? "";
   refusals.set(field, refusal);
   (field.closest(".check") ?? field).after(refusal);
   // The buttons of a review lie over what is at its foot.

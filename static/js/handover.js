@@ -1,8 +1,11 @@
 // Pictures of a note are made small enough before they are sent. Drawn again, they have no metadata and are upright.
+// A time outside its shift, or after now, is refused at its field: the server would take the page away.
 import "./main.js";
 
 const LONGEST_SIDE = 1600;
 const QUALITY = 0.8;
+const DAY = 1440;
+const MINUTE_MS = 60_000;
 const input = document.querySelector("[data-pictures]");
 
 /** @param {File} file */
@@ -28,4 +31,13 @@ input?.addEventListener("change", async () => {
   } finally {
     button.disabled = false;
   }
+});
+
+const clock = /** @type {HTMLInputElement | null} */ (document.querySelector("[data-outside]"));
+const minutesOf = (/** @type {string} */ text) => Number(text.split(":")[0]) * 60 + Number(text.split(":")[1]);
+
+clock?.addEventListener("input", () => {
+  const { start = "", minutes, outside = "" } = clock.dataset;
+  const sinceStart = (minutesOf(clock.value) - minutesOf(start) + DAY) % DAY;
+  clock.setCustomValidity(sinceStart > Number(minutes) + performance.now() / MINUTE_MS ? outside : "");
 });

@@ -184,6 +184,7 @@ async def note_page(
         places=alarms.places(),
         place_of=alarms.place,
         is_present=shift == shifts.present(),
+        clock_range=shifts.clock_range(shift),
         key=secrets.token_urlsafe(16),
         longest=MAX_NOTE_LENGTH,
     )

@@ -10,7 +10,7 @@ import re
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from itertools import islice
 from typing import Annotated, Any
 from zoneinfo import ZoneInfo
@@ -277,9 +277,21 @@ class Handover:
                 raise Problem(422, "invalid", Message("shift_note_needs_time"))
             return now
         if at is None or not shift.holds(at) or at > now + CLOCK_SKEW_S:
-            start, end = self.local(shift.start), self.local(shift.end)
-            raise Problem(422, "invalid", Message.of("shift_note_outside", start=start, end=end))
+            raise Problem(422, "invalid", self._outside(shift))
         return min(at, now)
+
+    def _outside(self, shift: Shift) -> Message:
+        return Message.of("shift_note_outside", start=self.local(shift.start), end=self.local(shift.end))
+
+    def clock_range(self, shift: Shift) -> tuple[str, float, Message]:
+        """Return when a shift starts by the clock, the minutes from there to its end or now, and the refusal
+        of a time beyond them. Where the clock was set forward, they are the more that it shows."""
+        start, until = (
+            datetime.fromtimestamp(float(at), self.zone)
+            for at in (shift.start, min(shift.end - 1.0, self._clock()))
+        )
+        seconds = max(until - start, until.astimezone(UTC) - start.astimezone(UTC)).total_seconds()
+        return f"{start:%H:%M}", round(seconds / 60, 2), self._outside(shift)
 
     def check_place(self, bus: str | None, unit: int | None) -> None:
         """Check that a note can be about a place. Raise Problem 404, or 422 for a unit without a bus."""

@@ -319,6 +319,16 @@ async def test_the_time_of_a_note_is_in_its_shift_and_not_to_come(house: House) 
     assert (await write(operator, "x", written_at=start.isoformat())).status_code == 422
 
 
+async def test_the_field_of_the_time_of_a_note_knows_what_the_server_refuses(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    now, earlier = (each["start"] for each in (await operator.get(API)).json()["shifts"][:2])
+    form = (await operator.get(f"/shifts/{now}/note")).text
+    elapsed = (datetime.now(UTC) - datetime.fromisoformat(now)).total_seconds() / 60
+    assert float(re.findall('data-minutes="(.*?)"', form)[0]) == pytest.approx(elapsed, abs=0.5)
+    assert "not later than now. Nothing was stored." in form
+    assert 'data-minutes="479.98"' in (await operator.get(f"/shifts/{earlier}/note")).text
+
+
 async def test_a_note_of_a_shift_that_is_over_states_its_time(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
     earlier = (await operator.get(API)).json()["shifts"][1]
