@@ -56,7 +56,7 @@ function follow(line) {
     level = String(fields.level ?? "");
     if (isAll && isUrgent) show(line);
     // Once the texts are written.
-    if (["verdict", "place", "last", "event", "recipe"].some((field) => field in changed))
+    if (["verdict", "place", "last", "abnormal", "event", "recipe"].some((field) => field in changed))
       requestAnimationFrame(() => fitIn(line));
   });
 }

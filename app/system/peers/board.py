@@ -18,7 +18,7 @@ from app.line.alarms.line_alarms import alarm_counts
 from app.line.conditions.condition import PRIORITIES
 from app.line.live.diagnosis import Level
 from app.line.live.fields import Fields, Groups, Translator, put_fields, scan_text
-from app.line.live.screen import and_more, verdict_line
+from app.line.live.screen import NO_BREAK, and_more, verdict_line
 from app.system.peers.summary import MAX_POINTS, LineSummary
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now
 from bus.messages import Message, term
@@ -213,7 +213,7 @@ def _abnormal(summary: LineSummary, translator: Translator) -> str:
     names = summary.abnormal
     if len(names) < 2:
         return ""
-    shown = ", ".join(map(translator.isolated, names[:MAX_NAMES]))
+    shown = ", ".join(translator.isolated(name).replace(" ", NO_BREAK) for name in names[:MAX_NAMES])
     more = and_more(len(names) - MAX_NAMES, translator)
     return f"{translator.t(term('Abnormal'))}: {shown} {more}".rstrip()
 

@@ -21,7 +21,7 @@ from app.core.web.templating import PageLines, Templates, render, templates_of
 from app.feature import Feature, Services
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.live.bus_live import LiveState
-from app.line.live.fields import Translator
+from app.line.live.fields import Translator, unit_key
 from app.line.live.hub import Hub
 from app.line.live.pages import UnitOnLine, unit_on_line
 from app.line.live.sources import Sources
@@ -70,11 +70,15 @@ async def lines_page(
     lines = tiles.board.lines()
     sites = sorted({line.site for line in lines})
     chosen = site if site in sites else ""
+    hub = service_of(request, Hub)
+    units = {line.key: [*hub.live.buses[line.bus].units] for line in lines if line.peer is None}
     return render(
         request,
         "lines/page.html",
         lines=[line for line in lines if chosen in ("", line.site)],
         tiles=tiles.fields_of(lines, _translator(request)),
+        firsts={line.key: unit_key(line.bus, units[line.key][0]) for line in lines if units.get(line.key)},
+        units=hub.screen(templates_of(request).language_of(request).tag).flat(),
         sites=sites,
         chosen=chosen,
     )

@@ -79,3 +79,10 @@ async def test_the_last_event_is_beside_its_line(tmp_path: Path) -> None:
         values = dict(re.findall(r'data-live="line_of/wet-end\.(\w+)"[^>]*>([^<]*)<', shown))
         assert values["event"] == "Set line"
         assert re.fullmatch(r"\d\d:\d\d", values["event_at"])
+
+
+async def test_lines_show_the_speed_of_a_first_unit_with_its_age(tmp_path: Path) -> None:
+    """So it keeps its last value, hatched, while the unit does not respond."""
+    async with complete_app(tmp_path) as house:
+        shown = (await page(house, "/lines")).text
+        assert all(text in shown for text in ('data-live="dry-end/1.actual"', 'data-age="dry-end/1"'))
