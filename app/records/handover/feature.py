@@ -85,6 +85,7 @@ async def shifts_page(
         day=day,
         line_summary=line_summary,
         rows=[(each, _path(each.start), shifts.figures.known(Shift(each.start, each.end))) for each in found],
+        unreadable={shift.start for shift in shifts.figures.unreadable},
         address=request.url.path + (f"?{request.url.query}" if request.url.query else ""),
         present=shifts.present(),
         older=_stamp(found[-1].start),

@@ -162,6 +162,8 @@ class SpanFigures:
         self._remembered: dict[Shift, tuple[UnixTime, LineFigures]] = {}
         self._wanted: dict[Shift, None] = {}
         self._is_wanted = asyncio.Event()
+        self.unreadable: set[Shift] = set()
+        """The shifts whose figures could not be read when they were last asked for."""
 
     async def units(self, span: Shift, scope: Scope, now: UnixTime) -> FoundUnits:
         """Return the report of each unit. Units are read one by one, so that other reads come in between.
@@ -206,8 +208,10 @@ class SpanFigures:
                 shift = next(iter(self._wanted))
                 try:
                     await self.shift(shift)
+                    self.unreadable.discard(shift)
                 except StoreError as error:
                     log.warning("figures of a shift not read", shift=float(shift.start), why=str(error))
+                    self.unreadable.add(shift)
                 del self._wanted[shift]
             self._is_wanted.clear()
 

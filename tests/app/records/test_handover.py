@@ -13,6 +13,7 @@ from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from unittest.mock import AsyncMock
 
 import httpx
 import pytest
@@ -22,6 +23,7 @@ from app.cli import cli
 from app.core.database import Database, StoreConnection
 from app.core.database.migration import MIGRATIONS
 from app.core.web.access import Person, Role
+from app.errors import StoreError
 from app.line.alarms.bus_alarms import BusAlarms
 from app.line.alarms.line_alarms import LineAlarms
 from app.line.commands.limits import Limits
@@ -85,6 +87,22 @@ async def test_the_list_asks_for_figures_again_until_it_has_them(house: House) -
         if "every 1s" not in last:
             break
     assert "being read" not in last
+
+
+async def test_the_list_stops_asking_for_figures_that_cannot_be_read(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    figures = house.services[Handover].figures
+    monkeypatch.setattr(
+        figures, "shift", AsyncMock(side_effect=StoreError(Message.of("store_missing", path="/x")))
+    )
+    for _ in range(100):
+        last = (await viewer.get("/shifts")).text
+        if "every 1s" not in last:
+            break
+        await asyncio.sleep(0.1)
+    assert ("cannot be read" in last, "being read" in last) == (True, False)
     assert "every 1s" not in last
 
 
